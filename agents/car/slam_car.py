@@ -2,12 +2,14 @@
 
 PRISM with the car's bicycle estimates the pose and a block-sparse map that is empty at first. Value iteration on its
 growing floor plan is the critic, unknown space being passable at a price; the model-predictive control of ``vi_mpc`` is
-the actor. It stops where its belief says that it has arrived. What it does when it is lost, stuck or without a path is
-a table (:mod:`vssm_gym.agents.shared.car.recovery`). Described in ``docs/agents/car.md``.
+the actor, which keeps off unknown space. Where the route leads onto what the camera would not show in time, the car
+drives first to a pose from which it sees it. It stops where its belief says that it has arrived. What it does when it
+is lost, stuck or without a path is a table (:mod:`vssm_gym.agents.shared.car.recovery`). Described in
+``docs/agents/car.md``.
 """
 
 import time
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,6 +51,8 @@ class SlamCarConfig:
         stuck_steps: in these last steps
         stuck_length: commands one way that add up to this many metres
         stuck_share: and a motion below this share of it mean that something holds the car.
+        unseen_steps: in a row that the controller drives within a circle of ``held_length``, after which it may drive
+            onto unseen space.
         held_steps: in a row that the controller drives
         held_length: without leaving a circle of this radius, m: its plan leads nowhere.
     """
@@ -58,6 +62,7 @@ class SlamCarConfig:
     stuck_steps: int = 8
     stuck_length: float = 0.08
     stuck_share: float = 0.25
+    unseen_steps: int = 12
     held_steps: int = 25
     held_length: float = 0.1
 
@@ -80,11 +85,6 @@ class SlamCarAgent:
         """Return the agent's own map, world frame up to its drift."""
         return self._own.map
 
-    @property
-    def responses(self) -> Counter[tuple[Failure, Response]]:
-        """Return how often each response to each failure has begun in this episode."""
-        return self._recovery.counts
-
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode with an empty map; ``seed`` changes nothing, because the solver seeds its own draws."""
         if context.car is None:
@@ -92,14 +92,14 @@ class SlamCarAgent:
         self._car, self._stops = context.car, context.stops
         self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
         self._command, self._fresh = np.zeros(2), True
-        self._recovery, self._trail = Recovery(), Trail(self._car)
+        self._trail = Trail(self._car)
         self._motions: deque[tuple[float, np.ndarray]] = deque(maxlen=self._config.stuck_steps)
         self._held: list[np.ndarray] = []  # poses in a row at which the controller drove
         self._begin(observation["goal"])
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
-        if self._critic.value is not None:  # compiled here, so that no step's latency holds it
-            self._mpc.step(at, self._critic.value, self._critic.clearance())
+        if self._critic.aim is not None:  # compiled here, so that no step's latency holds it
+            self._mpc.step(at, self._critic.aim, self._critic.clearance())
         self._mpc.begin(np.zeros(2))
 
     def act(self, observation: Observation) -> Decision:
@@ -133,6 +133,7 @@ class SlamCarAgent:
             step.plan,
             response is Response.GIVE_UP,
             at.covariance,
+            dict(self._recovery.counts),
         )
 
     def _begin(self, goal: np.ndarray) -> None:
@@ -140,6 +141,7 @@ class SlamCarAgent:
         target = self._goal.astype(np.float64)
         self._critic = GrowingCritic(self._car, target, self._config.critic)
         self._parking = ParkingRule(self._car, target)
+        self._recovery = Recovery()
         self._mpc.begin(self._command)
 
     def _failure(self, at: Localization) -> Failure | None:
@@ -159,17 +161,20 @@ class SlamCarAgent:
             return Failure.STUCK
         far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
         self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
+        if len(self._held) >= c.unseen_steps and self._critic.dare(at.planar):
+            self._held = []
+            return Failure.UNSEEN
         if len(self._held) >= c.held_steps:
             self._held = []
             self._critic.forget()
             return Failure.HELD
-        return Failure.NO_PATH if self._critic.value is None else None
+        return Failure.NO_PATH if self._critic.aim is None else None
 
     def _respond(self, response: Response, at: Localization) -> CarCommand:
         """Carry out a response; where nothing is wrong, the plan."""
         why = self._recovery.failure.value if self._recovery.failure else ""
-        value = self._critic.value
-        if response is not Response.DRIVE or value is None:
+        aim = self._critic.aim
+        if response is not Response.DRIVE or aim is None:
             self._mpc.begin(self._command)
             self._held = []
         if response is Response.GIVE_UP:
@@ -178,13 +183,13 @@ class SlamCarAgent:
             return CarCommand(back, f"{response.value}: {why}")
         if response is Response.CREEP:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
-        if response is not Response.DRIVE or value is None:
+        if response is not Response.DRIVE or aim is None:
             return self._brake(f"brakes: {why}")
         self._held.append(at.planar)
-        step = self._mpc.step(at.planar, value, self._critic.clearance())
-        if step.control[0] < -CREEP_SPEED and self._critic.backs_blindly(at.planar, step.control):
-            step = replace(step, control=np.array([-CREEP_SPEED, step.control[1]]))
-        return step
+        step = self._mpc.step(at.planar, aim, self._critic.clearance())
+        if self._critic.careful(at.planar, step.control):
+            step = replace(step, control=np.clip(step.control, [-CREEP_SPEED, -np.inf], [CREEP_SPEED, np.inf]))
+        return step if not self._critic.looks else replace(step, status=f"looks first: {step.status}")
 
     def _brake(self, status: str) -> CarCommand:
         control = braking(self._command, self._car)

@@ -73,7 +73,8 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         The metrics of :func:`episode_metrics`, with the length of the shortest Reeds-Shepp curve into the target's
         region, obstacles ignored, as ``geodesic``; those of :func:`calibration_of`; ``collision_events`` (times that
         contact began), ``collided``, ``seconds``, ``direction_changes``, ``heading_error`` (rad); ``failure``,
-        ``status``, latencies, ``trace`` (its ``poses`` with headings).
+        ``status``, the agent's ``responses`` to failures where it counts them, latencies, ``trace`` (its ``poses`` with
+        headings).
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     body: Any = env.unwrapped
@@ -135,6 +136,7 @@ def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_m
         "heading_error": task.turn(path[-1]),
         "failure": None if success else failure,
         "status": decisions[-1].status,
+        **({} if decisions[-1].responses is None else {"responses": dict(decisions[-1].responses)}),
         "latency": latency_of(decisions, seconds),
         "end_on": body.end_on,
         "tracer": body.renderer_name,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vssm_gym.agents.shared.car.growing_critic import GrowingConfig, GrowingCritic, descend
+from vssm_gym.agents.shared.car.growing_critic import TOLERANCE, GrowingConfig, GrowingCritic, descend
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
@@ -48,7 +48,7 @@ def test_warm_started_values_equal_cold_ones(plans):
     never = cold.value.never
     ours, theirs = np.asarray(warm.value.values), np.asarray(cold.value.values)
     np.testing.assert_array_equal(ours == never, theirs == never)
-    np.testing.assert_allclose(ours, theirs, atol=0.02)
+    np.testing.assert_allclose(ours, theirs, atol=5.0 * TOLERANCE)
 
 
 def test_growth_compiles_nothing():
@@ -102,18 +102,56 @@ def seen(*boxes: tuple[float, float, float, float]) -> FloorPlan:
     return made
 
 
-def test_it_knows_where_it_would_back_blindly():
-    """It has seen what is before it; of what is behind, only a strip."""
-    facing = np.array([1.2, 0.6, 0.0])
+def test_unseen_space_counts_its_motions():
     critic = GrowingCritic(CAR, np.array([0.1, 0.6, np.pi]), CONFIG)
-    critic.update(seen((1.0, 2.0, 0.2, 1.0)), facing)
-    assert critic.backs_blindly(facing, np.array([-0.3, 0.0]))
-    assert not critic.backs_blindly(facing, np.array([0.3, 0.0]))
-    critic.update(seen((0.8, 2.0, 0.2, 1.0)), facing)
-    assert not critic.backs_blindly(facing, np.array([-0.3, 0.0]))
+    critic.update(seen((0.8, 2.0, 0.2, 1.0)), np.array([1.2, 0.6, 0.0]))
     ahead, back = critic.value.counted(np.array([[-0.1, 0.6, 0.0]] * 2), np.array([1.0, -1.0]))
     assert (ahead, back) == CONFIG.unknown
-    assert critic.value.counted(np.array([[1.2, 1.0, 1.6]]), np.array([1.0])) == CONFIG.unknown[1]  # beside the car
+    assert critic.value.counted(np.array([[1.3, 0.6, 0.0]]), np.array([1.0])) == 1.0
+
+
+HALL = (0.9, 2.8, -0.4, 1.6)  # what a car at FACING knows; the target is behind it
+FACING, BEHIND = np.array([1.2, 0.6, 0.0]), np.array([0.2, 0.6, np.pi])
+
+
+def test_it_looks_before_it_drives_onto_what_it_has_not_seen():
+    """Behind it nothing was seen: the actor is led to a pose that faces it, and then to the target."""
+    critic = GrowingCritic(CAR, BEHIND, CONFIG)
+    critic.update(seen(HALL), FACING)
+    assert critic.looks and float(critic.aim.at(FACING)) > 0.0
+    values = np.asarray(critic.aim.values)
+    x, _, k = np.argwhere(values == 0.0).T
+    assert len(x)
+    facing = np.cos(2.0 * np.pi / values.shape[2] * k)
+    xs = float(critic.aim.origin[0]) + CELL * x
+    assert (facing[xs > 1.2] < 0.0).all()  # from ahead of where it stands it sees it only facing back
+    critic.update(seen((-0.9, 2.8, -0.4, 1.6)), FACING)
+    assert not critic.looks
+    np.testing.assert_array_equal(critic.aim.values, critic.value.values)
+
+
+def test_what_it_keeps_off_is_what_is_occupied_or_unseen():
+    critic = GrowingCritic(CAR, BEHIND, CONFIG)
+    critic.update(seen(HALL), FACING)
+    keeps = critic.clearance().at(np.array([[1.8, 0.6], [0.5, 0.6], [1.8, 2.2]]))
+    assert keeps[0] > 0.3 and (keeps[1:] < 0.0).all()
+
+
+def test_where_it_dares_the_unseen_is_no_obstacle_and_it_is_careful():
+    critic = GrowingCritic(CAR, np.array([-0.4, 0.6, 0.0]), CONFIG)  # straight behind a car that has hardly any room
+    critic.update(seen((1.08, 1.62, 0.46, 0.74)), FACING)
+    onto = np.array([0.9, 0.6])
+    back, on = np.array([-0.3, 0.0]), np.array([0.3, 0.0])
+    if critic.clearance().at(onto) < 0.0:
+        assert critic.dare(FACING)
+        critic.update(seen((1.08, 1.62, 0.46, 0.74)), FACING)
+    assert critic.clearance().at(onto) > 0.0
+    assert critic.careful(FACING, back) and not critic.careful(FACING, on)
+
+
+def test_it_does_not_dare_where_everything_was_seen():
+    critic = critic_after(plan(9.0))
+    assert not critic.looks and not critic.dare(START)
 
 
 def test_the_way_around_unknown_space_is_taken_where_it_is_short():

@@ -8,7 +8,7 @@ import pytest
 
 from tests.agents.test_car_agents import ROOMS, context, task
 from vssm_gym.agents.car.slam_car import SlamCarAgent
-from vssm_gym.agents.shared.car.recovery import Failure, Response
+from vssm_gym.agents.shared.car.recovery import RESPONSES, Failure, Response
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.carnav import run_episode
@@ -36,6 +36,7 @@ def test_it_parks_without_a_map_nor_a_collision(agent, env, goal):
     row = run_episode(env, agent, task(goal), seed=3, voxel_map=None)
     assert row["success"] and not row["collided"] and row["end_on"] == "stop"
     assert row["location_error_max"] < 0.05 and row["in_95"] > 0.8
+    assert isinstance(row["responses"], dict)
     assert agent.map.table is not None and int(agent.map.table.refused) == 0
 
 
@@ -77,8 +78,8 @@ def test_a_car_whose_camera_fails_stops_nowhere_and_gives_up(agent, env, fault, 
         assert not terminated
     assert decision.gives_up and decision.status.startswith("gave up: lost")
     # Images that stay dark repeat, too: in the end it is frozen images that the car gives up for.
-    assert sum(n for (_, response), n in agent.responses.items() if response is Response.GIVE_UP) == 1
-    assert agent.responses[failure, Response.BRAKE] >= 1
+    assert decision.responses[Response.GIVE_UP.value] == 1
+    assert decision.responses[RESPONSES[failure][0][0].value] >= 1
 
 
 def test_a_robot_that_is_no_car_is_refused():

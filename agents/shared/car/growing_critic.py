@@ -4,27 +4,46 @@ The grid of poses is fixed in the world, so that the sweeps start from the last 
 covers the start, the target and some room around both; where no path leads through it, it is enlarged by half. Unknown
 cells are passable, at the price of several motions for one.
 
-It is computed again where the change matters: cells near the route became occupied, many cells changed, the car has
-left the poses with a path, or there is no cost-to-go yet.
+The actor keeps off unknown space: what it drives onto has to be seen before. Where the route would meet unseen cells
+that the camera does not show on the poses before (:mod:`vssm_gym.agents.shared.car.looking`), the actor is led first to
+the nearest pose from which they are seen, by a second cost-to-go. Unseen cells that are met on the route to that pose,
+or for which there is none, or before which the car does not get on, it may drive onto; it dares, slowly.
+
+It is computed again where the change matters: cells near the route became occupied, many cells changed, what was to be
+looked at was seen, the car has left the poses with a path, or there is no cost-to-go yet.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_opening
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
+from vssm_gym.agents.shared.car.looking import Sight
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
-from vssm_gym.planning.value_iteration import CostToGo, PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
+from vssm_gym.planning.value_iteration import (
+    CostToGo,
+    PoseGrid,
+    ValueConfig,
+    ValueResult,
+    ValueStatus,
+    solve,
+    solve_region,
+)
 
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
-BACK = 0.2  # m of an arc backwards that have to be seen
+TOLERANCE = 0.02  # motions, of the Bellman residual
+SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
+DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
+CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
+NONE: np.ndarray = np.zeros((0, 2), int)  # cells
 
 
 @dataclass(frozen=True)
@@ -35,36 +54,42 @@ class GrowingConfig:
         sides: cells of the grid along x and y, tried in turn.
         room: m around start and target that the first grid holds.
         unknown: motions that one forwards, and one backwards, over unseen cells counts.
-        beside: distance from the car within which a motion forwards counts as one backwards, m: what is beside the car
-            its camera will not see in time.
         near: m around the footprint on its route, within which a new obstacle matters.
         changed: cells that change anywhere before the values are computed again.
         pause: steps from one computation to the next, unless an obstacle lies on the route.
     """
 
-    sides: tuple[int, ...] = (160, 240, 360)
+    sides: tuple[int, ...] = (120, 160, 240, 360)
     room: float = 0.8
     unknown: tuple[float, float] = (1.5, 10.0)
-    beside: float = 0.7
     near: float = 0.05
     changed: int = 200
     pause: int = 10
 
 
 class GrowingCritic:
-    """Follow one target of one car on a growing floor plan; ``value`` is the newest cost-to-go, None without a path."""
+    """Follow one target of one car on a growing floor plan.
+
+    ``value`` is the newest cost-to-go of the target, ``aim`` that by which the actor drives: of the target, or of the
+    poses from which it looks first. Both are None without a path.
+    """
 
     def __init__(self, car: Car, goal: np.ndarray, config: GrowingConfig | None = None) -> None:
         self._car, self._goal, self._config = car, np.asarray(goal, np.float64), config or GrowingConfig()
         self._side, self._corner = 0, np.zeros(2)
         self._used: np.ndarray | None = None  # cells for which the value was computed
-        self._near = np.zeros((0, 0), bool)
+        self._near: np.ndarray = np.zeros((0, 0), bool)
         self._waited = 0  # steps since then
         self.value: CostToGo | None = None
+        self.aim: CostToGo | None = None
+        self._followed: CostToGo | None = None  # `aim` with the price of unseen space
+        self._stale = False  # it has to be computed again at the next update
+        self._patch: np.ndarray = NONE  # cells that it looks at first
+        self._dared: np.ndarray = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
-        self._unseen: np.ndarray  # the unknown cells among them, without what is thinner than three: fringes
+        self._unseen: np.ndarray  # the unknown cells among them that border on no known one, but for the dared ones
         self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
@@ -81,27 +106,37 @@ class GrowingCritic:
             self._cut(plan)
             self._compute(planar)
 
+    @property
+    def looks(self) -> bool:
+        """Return True where the car is to look at something before it drives on."""
+        return len(self._patch) > 0
+
     def clearance(self) -> ClearanceMap:
-        """Return the distance to what is occupied; unknown cells are free."""
-        cells, occupancy = self._plan
-        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
-        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+        """Return the distance to what is occupied or unseen, which the actor has to keep."""
+        return self._distance(self._unseen)
 
-    def backs_blindly(self, planar: np.ndarray, control: np.ndarray) -> bool:
-        """Return True where a command ``(speed, steering)`` leads backwards into unseen space within :data:`BACK`."""
-        if control[0] >= 0.0:
+    def dare(self, planar: np.ndarray) -> bool:
+        """Let the car drive onto the unseen cells that it meets first, or was to look at; False where none are."""
+        if self._followed is None:
             return False
-        lengths = -BACK * np.array([0.5, 1.0])
-        turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
-        return any(self.unseen(pose) for pose in poses_after(planar[2], lengths, turns, *planar[:2]))
+        patch = self._sight().met(descend(self._followed, planar, self._car)[:DARED])
+        patch = patch if len(patch) else self._patch
+        self._dare(patch)
+        self._stale = len(patch) > 0
+        return self._stale
 
-    def unseen(self, planar: np.ndarray) -> bool:
-        """Return True where the footprint at a pose overlaps unseen space."""
-        return overlaps(self._unseen, self._corner, self._resolution, planar, self._car)
+    def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
+        """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
+        cells = self._dared & (self._plan[0] == UNKNOWN)
+        lengths = np.copysign(CAREFUL, control[0]) * np.array([0.0, 0.5, 1.0])
+        turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
+        ends = poses_after(planar[2], lengths, turns, *planar[:2])
+        return any(overlaps(cells, self._corner, self._resolution, pose, self._car) for pose in ends)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
-        self.value, self._waited = None, self._config.pause
+        self.value = self.aim = self._followed = None
+        self._stale = True
 
     def _place(self, plan: FloorPlan, planar: np.ndarray, side: int) -> None:
         """Choose the first grid from ``side`` on that holds car and target with room, on the cells of the plan."""
@@ -114,6 +149,7 @@ class GrowingCritic:
         self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
+        self._dared = np.zeros((sides[side], sides[side]), bool)
 
     def _cut(self, plan: FloorPlan) -> None:
         """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
@@ -124,51 +160,94 @@ class GrowingCritic:
         theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
         if all(s.stop > s.start for s in ours):
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
-        self._plan, self._unseen = (cells, occupancy), binary_opening(cells == UNKNOWN, np.ones((3, 3), bool))
+        unseen = binary_erosion(cells == UNKNOWN, np.ones((3, 3), bool), border_value=1)
+        self._plan, self._unseen = (cells, occupancy), unseen & ~self._dared
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
-        if self._used is None or self._used.shape != cells.shape:
+        if self._stale or self._used is None or self._used.shape != cells.shape:
             return True
         appeared = (cells == OCCUPIED) & (self._used != OCCUPIED)
         if (appeared & self._near).any():
             return True
+        if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
+            return True
         if self._waited < self._config.pause:
             return False
-        changed = np.count_nonzero(cells != self._used)
-        return bool(changed >= self._config.changed or self.value is None or not self.value.reachable(planar))
+        changed = np.count_nonzero(cells != self._used) >= self._config.changed and not self.looks
+        return bool(changed or self.aim is None or not self.aim.reachable(planar))
 
     def _compute(self, planar: np.ndarray) -> None:
-        """Compute the cost-to-go with the widest margin that has a path."""
+        """Compute the cost-to-go with the widest margin that has a path, and what has to be looked at first."""
         cells, _ = self._plan
-        nothing = np.zeros(cells.shape, bool)
-        arena = Arena(cells == OCCUPIED, self.clearance(), self._corner, self._resolution)
-        result = self._best(arena, self._counts(planar), planar)
+        nothing: np.ndarray = np.zeros(cells.shape, bool)
+        counts = self._counts()
+
+        def to_goal(grid: PoseGrid, share: float, start: np.ndarray | None) -> ValueResult:
+            region = share * GOAL_RADIUS, share * GOAL_HEADING_TOLERANCE
+            return solve(grid, self._goal, *region, start=start, warm=self.value)
+
+        result = self._best(counts, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
-        self._used, self._waited = cells, 0
-        self.computed += 1
-        self._near = nothing if self.value is None else self._around(descend(self.value, planar, self._car), nothing)
+        self.aim, self._followed = None, self.value
+        self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
+        self.computed, self._stale = self.computed + 1, False
+        if self._followed is None:
+            return
+        route = descend(self._followed, planar, self._car)
+        patch = self._sight().blind(route)
+        if len(patch):
+            shows = self._sight().viewpoints(patch, ValueConfig().n_headings)
+            look = self._best(counts, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start))
+            if look.cost_to_go is None:
+                self._dare(patch)
+            else:
+                self._followed, self._patch = look.cost_to_go, patch
+                route = descend(self._followed, planar, self._car)
+                self._dare(self._sight().blind(route))
+        self.aim = replace(self._followed, counts=None)
+        self._near = self._around(route, nothing)
 
-    def _counts(self, planar: np.ndarray) -> np.ndarray:
+    def _sight(self) -> Sight:
+        """Return what is seen from where on the newest plan."""
+        return Sight(self._plan[0] == OCCUPIED, self._unseen, self._corner, self._resolution, self._car)
+
+    def _dare(self, patch: np.ndarray) -> None:
+        """Let the actor drive onto a patch of cells, and two cells around it, as if they were seen."""
+        cells = np.zeros_like(self._dared)
+        cells[tuple(patch.T)] = True
+        self._dared |= binary_dilation(cells, iterations=2)
+        self._unseen = self._unseen & ~self._dared
+
+    def _distance(self, also: np.ndarray) -> ClearanceMap:
+        """Return the distance to what is occupied, and to the cells of ``also``."""
+        cells, occupancy = self._plan
+        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
+        field = np.where(also, np.maximum(field, 0.5 * self._resolution), field)
+        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
+
+    def _counts(self) -> np.ndarray:
         """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
-        c, resolution, headings = self._config, self._resolution, heading_grid(ValueConfig().n_headings)
-        x, y = (self._corner[a] + resolution * np.arange(n) - planar[a] for a, n in enumerate(self._unseen.shape))
-        beside = self._unseen & (np.hypot(x[:, None], y[None, :]) <= c.beside)
-        over, close = (rectangle_collisions(cells, resolution, self._car, headings) for cells in (self._unseen, beside))
-        ahead = np.where(close, c.unknown[1], np.where(over, c.unknown[0], 1.0))
-        return np.stack([ahead, np.where(over, c.unknown[1], 1.0)]).astype(np.float32)
+        headings = heading_grid(ValueConfig().n_headings)
+        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings)
+        return np.stack([np.where(over, count, 1.0) for count in self._config.unknown]).astype(np.float32)
 
-    def _best(self, arena: Arena, counts: np.ndarray, planar: np.ndarray) -> ValueResult:
-        for margin, fraction in ATTEMPTS:
-            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin), counts)
-            region = fraction * GOAL_RADIUS, fraction * GOAL_HEADING_TOLERANCE
-            result = solve(grid, self._goal, *region, start=planar, warm=self.value)
+    def _best(
+        self,
+        counts: np.ndarray,
+        planar: np.ndarray,
+        solved: Callable[[PoseGrid, float, np.ndarray | None], ValueResult],
+    ) -> ValueResult:
+        """Return the result with the widest margin that has a path."""
+        occupied = self._plan[0] == OCCUPIED
+        arena = Arena(occupied, self._distance(np.zeros_like(occupied)), self._corner, self._resolution)
+        for margin, share in ATTEMPTS:
+            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin, tolerance=TOLERANCE), counts)
+            result = solved(grid, share, planar)
             if result.status is ValueStatus.START_BLOCKED:  # by the map, whose surfaces have errors
-                result = solve(grid, self._goal, *region, warm=self.value)
+                result = solved(grid, share, None)
                 if result.cost_to_go is not None and not path_nearby(result.cost_to_go, planar):
-                    result = ValueResult(
-                        ValueStatus.UNREACHABLE, None, np.inf, result.sweeps, result.seconds, result.free, 0
-                    )
+                    result = replace(result, status=ValueStatus.UNREACHABLE, cost_to_go=None)
             if result.cost_to_go is not None:
                 return result
         return result

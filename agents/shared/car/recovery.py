@@ -29,6 +29,7 @@ class Failure(Enum):
     UNCONFIRMED = "its image fits again, for less than three steps"
     STUCK = "it does not move"
     HELD = "its plan leads nowhere"
+    UNSEEN = "its path leads where it cannot look"
     NO_PATH = "no path leads to the target"
 
 
@@ -60,6 +61,7 @@ RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
     Failure.UNCONFIRMED: ((Response.BRAKE, 64), (Response.GIVE_UP, 1)),
     Failure.STUCK: ((Response.BRAKE, 1), (Response.BACK_UP, 12)),
     Failure.HELD: ((Response.BACK_UP, 8), (Response.BRAKE, 1)),
+    Failure.UNSEEN: ((Response.BRAKE, 1),),
     Failure.NO_PATH: (
         (Response.BRAKE, 12),
         (Response.BACK_UP, 16),
@@ -72,10 +74,10 @@ RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
 
 
 class Recovery:
-    """Walk through the table. ``counts`` says how often each response to each failure has begun."""
+    """Walk through the table. ``counts`` says how often each response has begun, by name."""
 
     def __init__(self) -> None:
-        self.counts: Counter[tuple[Failure, Response]] = Counter()
+        self.counts: Counter[str] = Counter()
         self.failure: Failure | None = None
         self._steps = 0
 
@@ -93,7 +95,7 @@ class Recovery:
             return Response.DRIVE
         response = RESPONSES[self.failure][stage][0]
         if self._steps == (ends[stage - 1] if stage else 0):
-            self.counts[self.failure, response] += 1
+            self.counts[response.value] += 1
         self._steps += 1
         return response
 

@@ -2,6 +2,13 @@
 
 from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
 from vssm_gym.planning.value_iteration.motions import Motions
-from vssm_gym.planning.value_iteration.solver import PoseGrid, ValueConfig, ValueResult, ValueStatus, solve
+from vssm_gym.planning.value_iteration.solver import (
+    PoseGrid,
+    ValueConfig,
+    ValueResult,
+    ValueStatus,
+    solve,
+    solve_region,
+)
 
-__all__ = ["CostToGo", "Motions", "PoseGrid", "ValueConfig", "ValueResult", "ValueStatus", "solve"]
+__all__ = ["CostToGo", "Motions", "PoseGrid", "ValueConfig", "ValueResult", "ValueStatus", "solve", "solve_region"]

@@ -178,15 +178,21 @@ def solve(
     Raises:
         InputError: a goal or start of another shape or not finite, or a warm start of another grid.
     """
+    at_goal = grid.goal_poses(_vector("goal", goal, (2, 3)), radius, heading_tolerance)
+    return solve_region(grid, at_goal, start, warm)
+
+
+def solve_region(
+    grid: PoseGrid, at_goal: np.ndarray, start: np.ndarray | None = None, warm: CostToGo | None = None
+) -> ValueResult:
+    """Compute the cost-to-go of a set of free poses ``(nx, ny, n_headings)`` bool; else as :func:`solve`."""
     began = time.perf_counter()
-    goal = _vector("goal", goal, (2, 3))
     config, layout = grid.config, grid.layout
     free = int(np.count_nonzero(~grid.blocked))
 
     def ended(status: ValueStatus, unreachable: int = free) -> ValueResult:
         return ValueResult(status, None, np.inf, 0, time.perf_counter() - began, free, unreachable)
 
-    at_goal = grid.goal_poses(goal, radius, heading_tolerance)
     if start is not None:
         start = _vector("start", start, (3,))
         if collides(grid.arena, start, grid.motions.car, 0.0):

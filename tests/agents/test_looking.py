@@ -1,0 +1,98 @@
+"""Test what a car would meet unseen on a route, and the poses from which it sees it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vssm_gym.agents.shared.car.looking import HALF_ANGLE, SIGHT_TO, Sight
+from vssm_gym.geometry.arc import poses_after, turn_of
+from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.planning.car.footprint import footprint_cells
+
+CAR, CELL, N = Car(), 0.04, 100
+CORNER = np.array([-2.0, -2.0])
+
+
+def grid(*boxes: tuple[float, float, float, float]) -> np.ndarray:
+    """Return the cells of boxes ``(x0, x1, y0, y1)``, m."""
+    x, y = np.meshgrid(*(CORNER[a] + CELL * np.arange(N) for a in (0, 1)), indexing="ij")
+    cells = np.zeros((N, N), bool)
+    for x0, x1, y0, y1 in boxes:
+        cells |= (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+    return cells
+
+
+def sight(unseen: np.ndarray, *boxes: tuple[float, float, float, float]) -> Sight:
+    return Sight(grid(*boxes), unseen, CORNER, CELL, CAR)
+
+
+def route(steering: float, ahead: float, motions: int = 8) -> np.ndarray:
+    lengths = 0.13 * ahead * np.arange(motions)
+    return poses_after(0.0, lengths, turn_of(lengths, steering, CAR.wheelbase), np.zeros(1), np.zeros(1))
+
+
+BEYOND = grid((0.6, 2.0, -2.0, 2.0))  # all that is farther ahead
+BESIDE = grid((-2.0, 2.0, -2.0, -0.2))  # on the right
+BEHIND = grid((-2.0, -0.2, -2.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("unseen", "steering", "ahead", "blind"),
+    [
+        (BEYOND, 0.0, 1.0, False),  # it comes into view
+        (BEYOND, 0.15, 1.0, False),
+        (BESIDE, 0.0, 1.0, False),  # it is not driven onto
+        (BESIDE, -CAR.max_steering, 1.0, True),  # the front's inner corner comes there first
+        (BEHIND, 0.0, -1.0, True),
+        (BEHIND, 0.0, 1.0, False),
+    ],
+)
+def test_what_a_car_meets_unseen(unseen, steering, ahead, blind):
+    path, view = route(steering, ahead), sight(unseen)
+    patch = view.blind(path)
+    assert (len(patch) > 0) == blind
+    assert unseen[tuple(patch.T)].all()
+    if blind:
+        swept = np.concatenate([footprint_cells(CORNER, CELL, pose, CAR) for pose in path])
+        assert set(map(tuple, patch)) <= set(map(tuple, swept))
+        assert not view.seen(path[1:2], patch).all()
+    assert len(view.met(path)) >= len(patch)
+
+
+def test_an_obstacle_before_it_hides_what_lies_beyond():
+    cell = np.array([[75, 50]])  # 1 m ahead
+    facing = np.array([[0.0, 0.0, 0.0]])
+    assert sight(BEYOND).seen(facing, cell).all()
+    assert not sight(BEYOND, (0.6, 0.7, -0.5, 0.5)).seen(facing, cell).any()
+    assert not sight(BEYOND).seen(np.array([[0.0, 0.0, np.pi]]), cell).any()
+
+
+@given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2))
+def test_viewpoints_see_the_patch_through_what_is_known(x, y):
+    """From each of them it is ahead, within range, and nothing occupied or unseen lies between."""
+    middle = np.round((np.array([x, y]) - CORNER) / CELL).astype(int)
+    patch = middle + np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
+    unseen = grid((-2.0, -1.0, -2.0, 2.0))
+    unseen[tuple(patch.T)] = True
+    view = sight(unseen, (0.1, 0.2, -0.6, 0.6))
+    shows = view.viewpoints(patch, 64)
+    at = np.argwhere(shows)[:: max(1, np.count_nonzero(shows) // 50)]
+    poses = np.column_stack([CORNER + CELL * at[:, :2], 2.0 * np.pi / 64 * at[:, 2]])
+    for pose in poses:
+        camera = pose[:2] + CAR.camera_forward * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        to = CORNER + CELL * middle - camera
+        assert np.hypot(*to) <= SIGHT_TO + CELL
+        assert abs(wrap_angle(np.arctan2(to[1], to[0]) - pose[2])) <= HALF_ANGLE
+        between = camera + np.linspace(0.0, 0.9, 40)[:, None] * to
+        cells = np.round((between - CORNER) / CELL).astype(int)
+        hidden = (grid((0.14, 0.16, -0.56, 0.56)) | grid((-2.0, -1.04, -2.0, 2.0)))[tuple(cells.T)]
+        assert not (hidden & (np.abs(cells - middle).max(axis=1) > 2)).any()
+
+
+def test_there_is_a_viewpoint_of_what_lies_beside_a_car():
+    view = sight(BESIDE)
+    patch = view.blind(route(-CAR.max_steering, 1.0))
+    shows = view.viewpoints(patch, 64)
+    assert shows.any() and not shows[50, 50, 0]  # not from where it stands
