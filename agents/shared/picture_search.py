@@ -1,0 +1,176 @@
+"""Search a map that grows for the place where a picture was taken, a little at every step.
+
+A grid of places covers what the map shows to be free. In each step the panoramas of a few places are rendered, of those
+around which most has become known since their last one, and compared with the picture (eq. I43 by colours alone). Now
+and then the best poses so far are aligned to the picture in the map of that moment (eq. I46) and weighed by
+
+    rho = corr(luminance of the picture, luminance of the map)      over the share of the picture that the map shows
+
+A step's work is bounded, however large the map is.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+from vssm_gym.agents.base import AgentContext
+from vssm_gym.agents.shared.map_index import SPACING, rig_of
+from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, wrap_angle
+from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement
+from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
+from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
+from vssm_gym.inference.relocalisation.panoramas import Panoramas
+from vssm_gym.inference.relocalisation.relocaliser import planar_of, without_depth
+from vssm_gym.inference.tracking.camera_filter import camera_twists
+from vssm_gym.inference.tracking.localise import shrunk
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import MAX_DEPTH
+from vssm_gym.model.emission_density import EmissionScales
+from vssm_gym.model.transition.manifold import PLANAR
+from vssm_gym.planning.floor_plan import FloorPlan
+from vssm_gym.planning.occupancy_grid import UNKNOWN
+
+
+@dataclass(frozen=True)
+class PictureSearchConfig:
+    """Configure the effort of a step; lengths in metres."""
+
+    spacing: float = SPACING  # of the places
+    extent: float = 36.0  # along x and y, around the start
+    sight: float = 3.0  # half the side of the box around a place in which what becomes known calls for a new panorama
+    panoramas: int = 8  # rendered in a step
+    least: int = 40  # cells that have become known, for a new panorama
+    every: int = 6  # steps between two alignments
+    candidates: int = 6  # poses that are aligned
+    cylinder: CylinderConfig = field(default_factory=CylinderConfig)
+    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=6))
+    colour_view: ColourViewConfig = field(default_factory=ColourViewConfig)
+
+
+@dataclass(frozen=True)
+class Match:
+    """Hold a pose where the picture may have been taken.
+
+    Attributes:
+        planar: ``(3,)`` of the body, m and rad, in the map's frame.
+        log_prob: ``log p(picture | z, M)``, mean of a pixel, nats.
+        correlation: of the luminances of the picture and of the map seen from there.
+        share: of the picture that the map shows.
+    """
+
+    planar: np.ndarray
+    log_prob: float
+    correlation: float
+    share: float
+
+
+class PictureSearch:
+    """Search for one picture; see the module."""
+
+    def __init__(self, config: PictureSearchConfig, context: AgentContext, rgb: np.ndarray) -> None:
+        """Begin with nothing seen.
+
+        Args:
+            config: effort.
+            context: of the episode, its start is the grid's middle.
+            rgb: the picture, ``(height, width, 3)`` in [0, 1].
+        """
+        self._config, self._rig = config, rig_of(context)
+        self._cylinder = Cylinder.of(self._rig, config.cylinder)
+        self._ring = self._cylinder.resample(rgb, None)
+        small, self._small_rig = shrunk(without_depth(rgb), self._rig, config.colour_view.width)
+        self._picture = small.rgb
+        self._basis = camera_twists(PLANAR, self._small_rig)
+        n = round(config.extent / config.spacing)
+        self._corner = np.asarray(context.start_pose, np.float64)[:2] - 0.5 * config.spacing * (n - 1)
+        self._room = 0.5 * context.body_length - 0.04
+        self._grid = self._corner + config.spacing * np.moveaxis(np.indices((n, n)), 0, -1)
+        self._known = np.full((n, n), -np.inf)  # cells known around a place when its panorama was rendered
+        self._row = np.full((n, n), -1)  # of ``_scores``
+        self._places = np.empty((0, 2))
+        self._scores = np.empty((0, config.cylinder.columns), np.float32)
+        self._steps = 0
+
+    def step(self, m: VoxelMap, plan: FloorPlan) -> list[Match] | None:
+        """Do one step's work; return aligned poses, the likeliest first, or None where none were aligned.
+
+        Args:
+            m: the map as it is now; not kept.
+            plan: its floor plan.
+        """
+        self._steps += 1
+        self._look(m, plan)
+        if self._steps % self._config.every or not len(self._places):
+            return None
+        return self.align(m, self._candidates())
+
+    def align(self, m: VoxelMap, poses: list[np.ndarray]) -> list[Match]:
+        """Align the picture from poses ``(3,)`` of the body, at most ``candidates``; the likeliest first."""
+        c, T_body_cam = self._config, np.asarray(self._rig.T_body_cam, np.float64)
+        T = np.stack([planar_to_matrix(pose) @ T_body_cam for pose in poses])
+        padded = np.concatenate([T, np.repeat(T[:1], c.candidates - len(T), axis=0)])
+        camera, scales = self._small_rig.camera, EmissionScales()
+        aligned = align_views(
+            m, jnp.asarray(padded, jnp.float32), self._picture, camera, self._basis, MAX_DEPTH, c.colour_view, scales
+        )
+        agreed = view_agreement(m, aligned.T_world_cam, self._picture, camera, MAX_DEPTH)
+        T_world_cam, log_prob, (correlation, share) = jax.device_get((aligned.T_world_cam, aligned.log_prob, agreed))
+        found = [
+            Match(
+                matrix_to_planar(np.asarray(T_world_cam[k], np.float64) @ inverse(T_body_cam)),
+                float(log_prob[k]),
+                float(correlation[k]),
+                float(share[k]),
+            )
+            for k in range(len(poses))
+        ]
+        return sorted((one for one in found if np.isfinite(one.planar).all()), key=lambda one: -one.log_prob)
+
+    def _candidates(self) -> list[np.ndarray]:
+        """Return the poses of the highest scores that are apart."""
+        c = self._config
+        held = Panoramas(self._places, self._ring)  # peaks() reads the places alone
+        found = peaks(self._scores, held, c.cylinder.step, c.comparison)
+        return [planar_of(self._places[place], heading * c.cylinder.step, self._rig) for place, heading in found]
+
+    def _look(self, m: VoxelMap, plan: FloorPlan) -> None:
+        """Render the panoramas that are due most, and compare them with the picture."""
+        c = self._config
+        known = self._known_around(plan)
+        due = np.where(self._is_free(plan), known - self._known, -np.inf)
+        chosen = np.argsort(-due, axis=None, kind="stable")[: c.panoramas]
+        chosen = chosen[due.reshape(-1)[chosen] >= c.least]
+        if not len(chosen):
+            return
+        at = np.unravel_index(chosen, due.shape)
+        panoramas = Panoramas.of(m, self._cylinder, self._grid[at], MAX_DEPTH, c.panoramas)
+        scores = compare(self._ring, panoramas, self._cylinder, c.comparison)
+        self._known[at] = known[at]
+        for k, (i, j) in enumerate(zip(*at, strict=True)):
+            if self._row[i, j] >= 0:
+                self._scores[self._row[i, j]] = scores[k]
+            else:
+                self._row[i, j] = len(self._places)
+                self._places = np.concatenate([self._places, self._grid[i, j][None]])
+                self._scores = np.concatenate([self._scores, scores[k : k + 1]])
+
+    def _known_around(self, plan: FloorPlan) -> np.ndarray:
+        """Return the number of known cells of the plan in the box around each place."""
+        c, n = self._config, len(self._known)
+        place = np.floor((plan.centres(np.argwhere(plan.cells != UNKNOWN)) - self._corner) / c.spacing + 0.5)
+        place = np.clip(place.astype(int), 0, n - 1)
+        count = np.bincount(place[:, 0] * n + place[:, 1], minlength=n * n).reshape(n, n).astype(np.float64)
+        size = 2 * math.ceil(c.sight / c.spacing) + 1
+        return ndimage.uniform_filter(count, size, mode="constant") * size**2
+
+    def _is_free(self, plan: FloorPlan) -> np.ndarray:
+        """Mark the places where the body is free, to a cell."""
+        space = plan.clearance()
+        cell = np.floor(space.to_grid(self._grid) + 0.5).astype(int)
+        inside = np.all((cell >= 0) & (cell < space.clearance.shape), axis=-1)
+        held = np.where(inside[..., None], cell, 0)
+        return inside & (space.clearance[held[..., 0], held[..., 1]] >= self._room)
