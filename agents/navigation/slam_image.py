@@ -1,12 +1,14 @@
 """Explore an apartment that nobody has mapped until the map shows where the goal's image was taken, and drive there.
 
-``slam_image`` reads RGB-D, its own commands and the goal's image. It drives as ``slam_nav`` on the map that PRISM builds:
-to one frontier after the other, while :class:`~vssm_gym.agents.shared.picture_search.PictureSearch` looks in that map for
-poses that explain the image. It drives to such a pose, turns to where the image should have looked, and compares the
-camera's image with it. Described in ``docs/agents/navigation.md``.
+``slam_image`` reads RGB-D, its own commands and the goal's image. It drives as ``slam_nav`` in the map that PRISM
+builds, from frontier to frontier, and searches that map for the image at every step
+(:class:`~vssm_gym.agents.shared.picture_search.PictureSearch`). Where a pose explains the image it drives there, turns
+to where the image should have looked, and compares the image with the camera's. Described in
+``docs/agents/navigation.md``.
 """
 
 import math
+import time
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
@@ -14,181 +16,195 @@ import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
 from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
-from vssm_gym.agents.navigation.slam_nav import CONFIG
-from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.agents.navigation.slam_nav import CONFIG as SLAM_NAV
+from vssm_gym.agents.shared.frontier_goals import FrontierGoals
 from vssm_gym.agents.shared.manoeuvres import Turn
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
 from vssm_gym.agents.shared.picture_search import Match, PictureSearch, PictureSearchConfig
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
-from vssm_gym.agents.shared.strategy import Choice, Situation
 from vssm_gym.agents.shared.surroundings import GrowingMap
-from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.planning.exploration.candidates import Roadmap
-from vssm_gym.planning.exploration.frontier import frontier_cells
+from vssm_gym.model.emission import RGBD
 from vssm_gym.planning.floor_plan import FloorPlan
 
-import os
-DEBUG = os.environ.get("DBG")
+# Where no path leads to a place there are others to drive to.
+CONFIG = replace(SLAM_NAV, responses={**IN_OWN_MAP, Failure.NO_PATH: (Response.LOOK_AGAIN,)})
 
 
 @dataclass(frozen=True)
-class SlamImageConfig:
-    """Configure which poses are believed, and how near to drive; lengths in metres."""
+class ImageGoalConfig:
+    """Configure the search, and which of its matches are believed; lengths in metres."""
 
-    navigation: NavigationConfig = field(
-        default_factory=lambda: replace(CONFIG, responses={**IN_OWN_MAP, Failure.NO_PATH: (Response.LOOK_AGAIN,)})
-    )
     search: PictureSearchConfig = field(default_factory=PictureSearchConfig)
     frontiers: FrontierGainConfig = field(default_factory=FrontierGainConfig)
-    near: float = 0.25  # radius around a pose within which the robot stops
-    correlation: float = 0.7  # of picture and map, to drive there
-    share: float = 0.4  # of the picture that the map shows
-    same_place: tuple[float, float] = (0.5, 0.4)  # m, rad: matches that are nearer are one
+    near: float = 0.25  # radius around a place within which the robot stops: matches err, too
+    correlation: float = 0.7  # of image and map, for which exploration is interrupted
+    doubtful: float = 0.5  # the same where nothing is left to explore
+    share: float = 0.4  # of the image that the map shows
+    better: float = 1.0  # nats a pixel by which a match must be likelier than the one that is driven to
+    same_view: float = 0.75  # correlation of image and camera at the place, at least
+    same_share: float = 0.2  # of the camera's image that the goal's image shows
+    same_place: tuple[float, float] = (0.5, 0.4)  # m, rad: a match that is nearer to a refuted one is refuted
+    moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
+    most_turns: int = 40  # steps of turning at a place: a noisy robot may not get nearer
 
 
 class SlamImageAgent:
+    """Localise, map, explore, and search the map for the goal's image."""
+
     name = "slam_image"
     robot = "holonomic"
     task = "imagegoal"
+    navigation = CONFIG
     needs_pose = False
     needs_map = False
 
-    def __init__(self, config: SlamImageConfig | None = None) -> None:
-        self._config = config or SlamImageConfig()
+    def __init__(self, config: NavigationConfig = CONFIG, images: ImageGoalConfig | None = None) -> None:
+        self._config = images or ImageGoalConfig()
         self._surroundings = GrowingMap(MapAndPose())
-        self._navigator = Navigator(self._surroundings, self._config.navigation)
-        self._strategy = FrontierGain(self._config.frontiers)
+        self._navigator = Navigator(self._surroundings, config)
+        self._frontiers = FrontierGoals(FrontierGain(self._config.frontiers), config.margins)
+        self.plan: FloorPlan | None = None  # of the last step on which the pose was known
 
     @property
     def map(self) -> VoxelMap:
+        """Return the belief over the apartment, world frame; it is valid until the next step."""
         return self._surroundings.map
 
-    @property
-    def plan(self) -> FloorPlan | None:
-        return self._plan
-
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
+        """Open an episode; one step of the search is made and dropped, so that compiling it delays no later one."""
         self._context = replace(context, success_radius=min(self._config.near, context.success_radius))
-        self._open(observation, seed)
+        self._goto(np.asarray(context.start_pose, np.float64)[:2])
+        self._responses: Counter[str] = Counter()
         self._navigator.reset(self._context, self._with_goal(observation), seed)
-        self._plan = self._surroundings.floor_plan()
-        self._search.step(self._surroundings.map, self._plan)
-        self._search.align(self._surroundings.map, [np.asarray(context.start_pose, np.float64)])
-        self._open(observation, seed)
+        self._frontiers.reset(self._context, seed)
+        self._look_for(observation["goal_rgb"])
+        start = np.asarray(context.start_pose, np.float64)
+        self._search.step(self.map, self._surroundings.floor_plan())
+        self._search.align(self.map, [start])
+        self._search.agreement(RGBD.from_camera(observation["rgb"], observation["depth"]), start, start)
+        self._look_for(observation["goal_rgb"])
 
-    def _open(self, observation, seed):
-        self._strategy.reset(seed)
-        self._picture = observation["goal_rgb"].astype(np.float32) / 255.0
-        self._search = PictureSearch(self._config.search, self._context, self._picture)
-        self._target = np.asarray(self._context.start_pose, np.float64)[:2]
-        self._choice = None
-        self._match: Match | None = None
-        self._refuted: list[np.ndarray] = []
-        self._dismissed: list[np.ndarray] = []
-        self._turn = None
-        self._past = Counter()
-        self.log = []
-        self._n = 0
-
-    def _with_goal(self, observation):
-        return {**observation, "goal": self._target}
+    def _look_for(self, goal_rgb: np.ndarray) -> None:
+        """Begin the search for an image."""
+        self._goal_rgb = np.array(goal_rgb)
+        self._search = PictureSearch(self._config.search, self._context, goal_rgb.astype(np.float32) / 255.0)
+        self._match: Match | None = None  # that is driven to
+        self._refuted: list[np.ndarray] = []  # poses where the camera has seen something else
 
     def act(self, observation: Observation) -> Decision:
-        self._n += 1
+        """Drive to a pose that explains the image, or explore."""
+        if not np.array_equal(observation["goal_rgb"], self._goal_rgb):
+            self._look_for(observation["goal_rgb"])
         decision = self._navigator.act(self._with_goal(observation))
-        estimate = self._navigator.estimate
-        if estimate.lost:
-            return decision
-        self._plan = plan = self._surroundings.floor_plan()
-        found = self._search.step(self._surroundings.map, plan)
-        if found is not None:
-            self._consider(found)
-        if self._match is None and self._is_obsolete(plan):
-            return self._explore(decision, estimate, plan)
-        if decision.action[3] < 0.5:
-            return self._named(decision)
+        if self._navigator.estimate.lost:
+            return self._completed(decision, decision.gives_up)
+        began = time.perf_counter()
+        self.plan = plan = self._surroundings.floor_plan()
+        self._search.step(self.map, plan)
+        ended = bool(decision.action[3] > 0.5)
+        if (best := self._best(self._config.correlation)) is not None and self._is_better(best):
+            self._drive_to(best)
+            ended, decision = False, self._instead(decision, np.zeros(3), "matches")
         if self._match is not None:
-            return self._compare(decision, observation, estimate, plan)
-        if not decision.gives_up and self._choice is not None:
-            if self._turn is None:
-                dx, dy = self._choice.target.mean(axis=0) - estimate.planar[:2]
-                self._turn = Turn([math.atan2(dy, dx)], float(self._context.limits[0]))
-            command = self._turn.command(estimate.planar)
-            if command is not None:
-                return self._instead(decision, command, "looks at a frontier")
-        if self._choice is not None:
-            self._dismissed.append(self._choice.target if decision.gives_up else self._left(plan))
-            if decision.gives_up:
-                self._dismissed.append(self._choice.goal[None])
-        return self._explore(decision, estimate, plan)
+            decision = self._at_match(decision, observation) if ended else decision
+        elif ended or self._frontiers.is_seen(plan):
+            decision = self._at_frontier(decision, plan, ended)
+        decision.latency["search"] = time.perf_counter() - began
+        return self._completed(decision, decision.status.startswith(NOWHERE))
 
-    def _named(self, decision):
-        what = "explores" if self._match is None else "drives to a match"
-        return replace(decision, status=f"{what}; {decision.status}", gives_up=False)
+    # --- at the end of a drive
 
-    def _instead(self, decision, command, status):
-        self._navigator.instead(command)
-        return replace(decision, action=np.array([*command, 0.0], np.float32), status=status, gives_up=False)
-
-    def _consider(self, found):
-        if DEBUG:
-            for one in found:
-                self.log.append((self._n, one))
-        c = self._config
-        if self._match is not None:
-            return
-        for one in found:
-            if one.correlation >= c.correlation and one.share >= c.share and not self._is_refuted(one):
-                self._match, self._turn, self._choice = one, None, None
-                self._target = one.planar[:2].copy()
-                if DEBUG: print(self._n, "match", one)
-                return
-
-    def _is_refuted(self, one):
-        place, heading = self._config.same_place
-        return any(math.hypot(*(one.planar[:2] - p[:2])) < place and abs(float(wrap_angle(one.planar[2] - p[2]))) < heading for p in self._refuted)
-
-    def _compare(self, decision, observation, estimate, plan):
-        assert self._match is not None
+    def _at_match(self, decision: Decision, observation: Observation) -> Decision:
+        """Turn to where the image should have looked, and compare; explore on where it shows something else."""
+        match, c = self._match, self._config
+        assert match is not None
         if not decision.gives_up:
-            if self._turn is None:
-                self._turn = Turn([float(self._match.planar[2])], float(self._context.limits[0]))
-            command = self._turn.command(estimate.planar)
-            if command is not None:
+            if (command := self._turned(float(match.planar[2]))) is not None:
                 return self._instead(decision, command, "turns to where the image looked")
-            again = self._search.align(self._surroundings.map, [self._match.planar])[0]
-            if DEBUG: print(self._n, "at match", self._match, again)
-            if again.correlation >= self._config.correlation and again.share >= self._config.share:
-                if math.hypot(*(again.planar[:2] - self._target)) > 0.15:
-                    self._target, self._match, self._turn = again.planar[:2].copy(), again, None
-                    return self._instead(decision, np.zeros(3), "corrects")
-                return decision
-        if DEBUG: print(self._n, "refuted", decision.status)
-        self._refuted.append(self._match.planar)
+            again = self._search.align(self.map, [match.planar])
+            image = RGBD.from_camera(observation["rgb"], observation["depth"])
+            correlation, share = self._search.agreement(image, self._navigator.estimate.planar, match.planar)
+            if again and correlation >= c.same_view and share >= c.same_share:
+                moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
+                if moved <= c.moved or self._corrected:
+                    return decision
+                self._drive_to(again[0])
+                self._corrected = True
+                return self._instead(decision, np.zeros(3), "corrects the place")
+        self._refuted.append(match.planar)
         self._match = None
-        return self._explore(decision, estimate, plan)
+        return self._explore(decision)
 
-    def _is_obsolete(self, plan):
-        return self._choice is not None and len(self._left(plan)) <= 0.2 * len(self._choice.target)
+    def _at_frontier(self, decision: Decision, plan: FloorPlan, ended: bool) -> Decision:
+        """Look at the frontier, and choose the next one."""
+        if ended:
+            heading = self._frontiers.heading(self._navigator.estimate.planar)
+            if not (decision.gives_up or heading is None) and (command := self._turned(heading)) is not None:
+                return self._instead(decision, command, "looks at a frontier")
+            self._frontiers.dismiss(plan, reached=not decision.gives_up)
+        return self._explore(decision)
 
-    def _left(self, plan):
-        target = self._choice.target
-        cell = np.clip(plan.index(target), 0, np.array(plan.cells.shape) - 1)
-        return target[frontier_cells(plan.cells)[cell[:, 0], cell[:, 1]]]
+    def _explore(self, decision: Decision) -> Decision:
+        """Drive to the next frontier; where there is none to the best match that is left, or give up."""
+        assert self.plan is not None
+        place = self._frontiers.choose(self.map, self.plan, self._navigator.estimate)
+        if place is not None:
+            self._goto(place)
+            return self._instead(decision, np.zeros(3), "chooses a frontier")
+        if (best := self._best(self._config.doubtful)) is not None:
+            self._drive_to(best)
+            return self._instead(decision, np.zeros(3), "matches nothing better")
+        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
-    def _explore(self, decision, estimate, plan):
-        if decision.gives_up and estimate.lost:
-            return decision
-        radius = 0.5 * self._context.body_length
-        dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
-        self._turn = None
-        for margin in (0.03, 0.01, -0.01):
-            roadmap = Roadmap.of(plan, estimate.planar[:2], radius + margin)
-            situation = Situation(self.map, roadmap, estimate.planar, estimate.std, None, None, dismissed, True)
-            choice = self._strategy.choose(situation)
-            if choice is not None:
-                self._choice, self._target = choice, np.asarray(choice.goal, np.float64)
-                return self._instead(decision, np.zeros(3), choice.status)
-        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status="gave up: explored", gives_up=True)
+    # --- matches
+
+    def _best(self, correlation: float) -> Match | None:
+        """Return the likeliest match of such a correlation that has not been refuted."""
+        for one in self._search.matches:
+            if one.correlation >= correlation and one.share >= self._config.share and not self._is_refuted(one):
+                return one
+        return None
+
+    def _is_better(self, best: Match) -> bool:
+        """Return True for a match at another place than the present one, and likelier."""
+        now, c = self._match, self._config
+        return now is None or (best.log_prob > now.log_prob + c.better and not best.is_near(now.planar, *c.same_place))
+
+    def _is_refuted(self, match: Match) -> bool:
+        return any(match.is_near(planar, *self._config.same_place) for planar in self._refuted)
+
+    def _drive_to(self, match: Match) -> None:
+        self._match, self._corrected = match, False
+        self._frontiers.leave()
+        self._goto(match.planar[:2])
+
+    # --- the navigator
+
+    def _goto(self, place: np.ndarray) -> None:
+        self._place, self._turns, self._departs = np.array(place, np.float64), 0, True
+
+    def _with_goal(self, observation: Observation) -> dict[str, np.ndarray]:
+        return {**observation, "goal": self._place}
+
+    def _turned(self, heading: float) -> np.ndarray | None:
+        """Return the turn to a heading; None where the robot has it, or has turned for long enough."""
+        self._turns += 1
+        turn = Turn([heading], float(self._context.limits[0]))
+        return None if self._turns > self._config.most_turns else turn.command(self._navigator.estimate.planar)
+
+    def _instead(self, decision: Decision, command: np.ndarray, activity: str) -> Decision:
+        """Return the decision with another command."""
+        self._navigator.instead(command)
+        return replace(decision, action=np.array([*command, 0.0], np.float32), status=f"{activity}; {decision.status}")
+
+    def _completed(self, decision: Decision, gives_up: bool) -> Decision:
+        """Return the decision with the responses to failures of all drives so far."""
+        responses = self._responses + Counter(decision.responses)
+        if self._departs:  # the navigator begins to count anew
+            self._responses, self._departs = responses, False
+        return replace(decision, gives_up=gives_up, responses=dict(responses))
+
+
+NOWHERE = "gave up: all that can be reached has been explored, and nothing looks like the image"

@@ -20,7 +20,7 @@ from scipy import ndimage
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.map_index import SPACING, rig_of
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, wrap_angle
-from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement
+from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, picture_agreement, view_agreement
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
 from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
 from vssm_gym.inference.relocalisation.panoramas import Panoramas
@@ -28,7 +28,7 @@ from vssm_gym.inference.relocalisation.relocaliser import planar_of, without_dep
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.inference.tracking.localise import shrunk
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model.emission import MAX_DEPTH
+from vssm_gym.model.emission import MAX_DEPTH, RGBD
 from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.manifold import PLANAR
 from vssm_gym.planning.floor_plan import FloorPlan
@@ -44,10 +44,13 @@ class PictureSearchConfig:
     sight: float = 3.0  # half the side of the box around a place in which what becomes known calls for a new panorama
     panoramas: int = 8  # rendered in a step
     least: int = 40  # cells that have become known, for a new panorama
-    every: int = 6  # steps between two alignments
-    candidates: int = 6  # poses that are aligned
-    cylinder: CylinderConfig = field(default_factory=CylinderConfig)
-    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=6))
+    every: int = 4  # steps between two alignments
+    candidates: int = 3  # poses that are aligned at once
+    kept: int = 12  # matches
+    apart: float = 0.3  # m: matches that are nearer and
+    apart_heading: float = 0.3  # rad: nearer than this are one
+    cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
+    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=10))
     colour_view: ColourViewConfig = field(default_factory=ColourViewConfig)
 
 
@@ -66,6 +69,11 @@ class Match:
     log_prob: float
     correlation: float
     share: float
+
+    def is_near(self, planar: np.ndarray, place: float, heading: float) -> bool:
+        """Return True where a pose ``(3,)`` is within ``place`` m and ``heading`` rad."""
+        turned = abs(float(wrap_angle(self.planar[2] - planar[2])))
+        return math.hypot(*(self.planar[:2] - planar[:2])) < place and turned < heading
 
 
 class PictureSearch:
@@ -93,20 +101,24 @@ class PictureSearch:
         self._row = np.full((n, n), -1)  # of ``_scores``
         self._places = np.empty((0, 2))
         self._scores = np.empty((0, config.cylinder.columns), np.float32)
+        self._aligned: dict[tuple[int, int], float] = {}  # score of each place and heading when it was aligned last
         self._steps = 0
+        self.matches: list[Match] = []  # of the last alignment near each pose, the likeliest first
 
-    def step(self, m: VoxelMap, plan: FloorPlan) -> list[Match] | None:
-        """Do one step's work; return aligned poses, the likeliest first, or None where none were aligned.
+    def step(self, m: VoxelMap, plan: FloorPlan) -> None:
+        """Do one step's work, and update ``matches``.
 
         Args:
             m: the map as it is now; not kept.
             plan: its floor plan.
         """
+        c = self._config
         self._steps += 1
         self._look(m, plan)
-        if self._steps % self._config.every or not len(self._places):
-            return None
-        return self.align(m, self._candidates())
+        if self._steps % c.every == 0 and len(self._places) and (poses := self._candidates()):
+            for new in self.align(m, poses):
+                others = [one for one in self.matches if not one.is_near(new.planar, c.apart, c.apart_heading)]
+                self.matches = sorted([*others, new], key=lambda one: -one.log_prob)[: c.kept]
 
     def align(self, m: VoxelMap, poses: list[np.ndarray]) -> list[Match]:
         """Align the picture from poses ``(3,)`` of the body, at most ``candidates``; the likeliest first."""
@@ -130,12 +142,28 @@ class PictureSearch:
         ]
         return sorted((one for one in found if np.isfinite(one.planar).all()), key=lambda one: -one.log_prob)
 
+    def agreement(self, image: RGBD, planar: np.ndarray, taken: np.ndarray) -> tuple[float, float]:
+        """Return the correlation of a camera image with the picture, and the share of the image that it shows.
+
+        Args:
+            image: at the camera's size.
+            planar: ``(3,)`` of the body with it, m and rad.
+            taken: the same where the picture may have been taken.
+        """
+        T_body_cam = np.asarray(self._rig.T_body_cam, np.float64)
+        T_world_image, T_world_picture = (planar_to_matrix(pose) @ T_body_cam for pose in (planar, taken))
+        small, rig = shrunk(image, self._rig, self._config.colour_view.width)
+        T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
+        agreed = picture_agreement(small, self._picture, T, rig.camera, self._basis, self._config.colour_view)
+        return float(agreed.correlation), float(agreed.share)
+
     def _candidates(self) -> list[np.ndarray]:
-        """Return the poses of the highest scores that are apart."""
+        """Return the poses of the highest scores that are apart and have not been aligned with that score."""
         c = self._config
-        held = Panoramas(self._places, self._ring)  # peaks() reads the places alone
-        found = peaks(self._scores, held, c.cylinder.step, c.comparison)
-        return [planar_of(self._places[place], heading * c.cylinder.step, self._rig) for place, heading in found]
+        best = peaks(self._scores, self._places, c.cylinder.step, c.comparison)
+        due = [at for at in best if self._aligned.get(at) != self._scores[at]][: c.candidates]
+        self._aligned.update((at, float(self._scores[at])) for at in due)
+        return [planar_of(self._places[place], heading * c.cylinder.step, self._rig) for place, heading in due]
 
     def _look(self, m: VoxelMap, plan: FloorPlan) -> None:
         """Render the panoramas that are due most, and compare them with the picture."""

@@ -162,7 +162,7 @@ class Relocaliser:
         ring = self.cylinder.resample(np.asarray(image.rgb), np.asarray(image.depth))
         comparison = self.config.comparison
         scores = compare(ring, self.panoramas, self.cylinder, comparison)
-        candidates = peaks(scores, self.panoramas, self.config.cylinder.step, comparison)
+        candidates = peaks(scores, self.panoramas.places, self.config.cylinder.step, comparison)
         return self._judge(image, [Hypothesis(self.planar(*candidate), 0.0) for candidate in candidates])
 
     def narrowed(
@@ -204,7 +204,7 @@ class Relocaliser:
         if float(np.std(rgb.mean(-1))) < c.min_contrast:
             return Found(Outcome.NOTHING)
         scores = compare(self.cylinder.resample(rgb, None), self.panoramas, self.cylinder, c.comparison)
-        found = peaks(scores, self.panoramas, self.config.cylinder.step, c.comparison)
+        found = peaks(scores, self.panoramas.places, self.config.cylinder.step, c.comparison)
         poses, T_body_cam = self._poses([self.planar(*one) for one in found], c.comparison.candidates)
         small, rig = shrunk(without_depth(rgb), self.rig, c.colour_view.width)
         basis = camera_twists(PLANAR, rig)
