@@ -20,11 +20,11 @@ from scipy import ndimage
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.map_index import SPACING, rig_of
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, wrap_angle
-from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, picture_agreement, view_agreement
+from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
 from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
 from vssm_gym.inference.relocalisation.panoramas import Panoramas
-from vssm_gym.inference.relocalisation.relocaliser import planar_of, without_depth
+from vssm_gym.inference.relocalisation.relocaliser import compared, planar_of, without_depth
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.inference.tracking.localise import shrunk
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -87,7 +87,7 @@ class PictureSearch:
             context: of the episode, its start is the grid's middle.
             rgb: the picture, ``(height, width, 3)`` in [0, 1].
         """
-        self._config, self._rig = config, rig_of(context)
+        self._config, self._rig, self._rgb = config, rig_of(context), rgb
         self._cylinder = Cylinder.of(self._rig, config.cylinder)
         self._ring = self._cylinder.resample(rgb, None)
         small, self._small_rig = shrunk(without_depth(rgb), self._rig, config.colour_view.width)
@@ -150,11 +150,7 @@ class PictureSearch:
             planar: ``(3,)`` of the body with it, m and rad.
             taken: the same where the picture may have been taken.
         """
-        T_body_cam = np.asarray(self._rig.T_body_cam, np.float64)
-        T_world_image, T_world_picture = (planar_to_matrix(pose) @ T_body_cam for pose in (planar, taken))
-        small, rig = shrunk(image, self._rig, self._config.colour_view.width)
-        T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
-        agreed = picture_agreement(small, self._picture, T, rig.camera, self._basis, self._config.colour_view)
+        agreed = compared(image, planar, self._rgb, taken, self._rig, self._config.colour_view)
         return float(agreed.correlation), float(agreed.share)
 
     def _candidates(self) -> list[np.ndarray]:

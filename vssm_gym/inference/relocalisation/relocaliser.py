@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, wrap_angle
+from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.inference.alignment.aliasing import APART
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
@@ -226,13 +227,9 @@ class Relocaliser:
             rgb: the picture, in [0, 1], at that size.
             taken: pose of the body where the picture may have been taken.
         """
-        c, T_body_cam = self.config, np.asarray(self.rig.T_body_cam, np.float64)
-        T_world_image, T_world_picture = (planar_to_matrix(np.asarray(p)) @ T_body_cam for p in (planar, taken))
-        small, rig = shrunk(image, self.rig, c.colour_view.width)
-        picture, _ = shrunk(without_depth(rgb), self.rig, c.colour_view.width)
-        T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
-        agrees = picture_agreement(small, picture.rgb, T, rig.camera, camera_twists(PLANAR, rig), c.colour_view)
-        return float(agrees.correlation) >= c.picture_correlation and float(agrees.share) >= c.picture_share
+        c = self.config
+        agreed = compared(image, planar, rgb, taken, self.rig, c.colour_view)
+        return float(agreed.correlation) >= c.picture_correlation and float(agreed.share) >= c.picture_share
 
     def planar(self, place: int, heading: int) -> Float[np.ndarray, "3"]:
         """Return the pose of the body whose camera is at a place of the index, at a column's heading."""
@@ -309,6 +306,32 @@ class Relocaliser:
 
 
 _expected = jax.jit(lambda transition, mean, control, dt: transition.expected(mean, control, dt))
+
+
+def compared(
+    image: RGBD,
+    planar: Float[np.ndarray, "3"],
+    rgb: np.ndarray,
+    taken: Float[np.ndarray, "3"],
+    rig: Rig,
+    config: ColourViewConfig,
+) -> Agreement:
+    """Compare a camera image with a picture by the colours of what both show.
+
+    Args:
+        image: at the camera's size.
+        planar: pose of the body with it, m and rad.
+        rgb: the picture, in [0, 1], at that size.
+        taken: pose of the body where the picture may have been taken.
+        rig: the camera and its pose on the body.
+        config: effort of their alignment.
+    """
+    T_body_cam = np.asarray(rig.T_body_cam, np.float64)
+    T_world_image, T_world_picture = (planar_to_matrix(np.asarray(p)) @ T_body_cam for p in (planar, taken))
+    small, small_rig = shrunk(image, rig, config.width)
+    picture, _ = shrunk(without_depth(rgb), rig, config.width)
+    T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
+    return picture_agreement(small, picture.rgb, T, small_rig.camera, camera_twists(PLANAR, small_rig), config)
 
 
 def planar_of(place: Float[np.ndarray, "2"], heading: float, rig: Rig) -> Float[np.ndarray, "3"]:
