@@ -37,7 +37,8 @@ class ImageGoalConfig:
     """Configure the search, and which of its matches are believed; lengths in metres."""
 
     search: PictureSearchConfig = field(default_factory=PictureSearchConfig)
-    frontiers: FrontierGainConfig = field(default_factory=FrontierGainConfig)
+    # A turn by a radian takes as long as 0.8 m of driving.
+    frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8))
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
     correlation: float = 0.7  # of image and map, for which exploration is interrupted
     doubtful: float = 0.5  # the same where nothing is left to explore
@@ -75,7 +76,7 @@ class SlamImageAgent:
     def reset(self, context: AgentContext, observation: Observation, seed: int) -> None:
         """Open an episode; one step of the search is made and dropped, so that compiling it delays no later one."""
         self._context = replace(context, success_radius=min(self._config.near, context.success_radius))
-        self._goto(np.asarray(context.start_pose, np.float64)[:2])
+        self._place, self._turns = np.asarray(context.start_pose, np.float64)[:2], 0
         self._responses: Counter[str] = Counter()
         self._navigator.reset(self._context, self._with_goal(observation), seed)
         self._frontiers.reset(self._context, seed)
@@ -103,15 +104,14 @@ class SlamImageAgent:
         began = time.perf_counter()
         self.plan = plan = self._surroundings.floor_plan()
         self._search.step(self.map, plan)
+        decision.latency["search"] = time.perf_counter() - began
         ended = bool(decision.action[3] > 0.5)
         if (best := self._best(self._config.correlation)) is not None and self._is_better(best):
-            self._drive_to(best)
-            ended, decision = False, self._instead(decision, np.zeros(3), "matches")
-        if self._match is not None:
+            decision = self._drive_to(best, decision)
+        elif self._match is not None:
             decision = self._at_match(decision, observation) if ended else decision
         elif ended or self._frontiers.is_seen(plan):
             decision = self._at_frontier(decision, plan, ended)
-        decision.latency["search"] = time.perf_counter() - began
         return self._completed(decision, decision.status.startswith(NOWHERE))
 
     # --- at the end of a drive
@@ -130,9 +130,9 @@ class SlamImageAgent:
                 moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
                 if moved <= c.moved or self._corrected:
                     return decision
-                self._drive_to(again[0])
+                decision = self._drive_to(again[0], decision)
                 self._corrected = True
-                return self._instead(decision, np.zeros(3), "corrects the place")
+                return decision
         self._refuted.append(match.planar)
         self._match = None
         return self._explore(decision)
@@ -151,11 +151,9 @@ class SlamImageAgent:
         assert self.plan is not None
         place = self._frontiers.choose(self.map, self.plan, self._navigator.estimate)
         if place is not None:
-            self._goto(place)
-            return self._instead(decision, np.zeros(3), "chooses a frontier")
+            return self._goto(place, decision)
         if (best := self._best(self._config.doubtful)) is not None:
-            self._drive_to(best)
-            return self._instead(decision, np.zeros(3), "matches nothing better")
+            return self._drive_to(best, decision)
         return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
     # --- matches
@@ -175,15 +173,21 @@ class SlamImageAgent:
     def _is_refuted(self, match: Match) -> bool:
         return any(match.is_near(planar, *self._config.same_place) for planar in self._refuted)
 
-    def _drive_to(self, match: Match) -> None:
+    def _drive_to(self, match: Match, decision: Decision) -> Decision:
         self._match, self._corrected = match, False
         self._frontiers.leave()
-        self._goto(match.planar[:2])
+        return self._goto(match.planar[:2], decision)
 
     # --- the navigator
 
-    def _goto(self, place: np.ndarray) -> None:
-        self._place, self._turns, self._departs = np.array(place, np.float64), 0, True
+    def _goto(self, place: np.ndarray, decision: Decision) -> Decision:
+        """Return the decision that drives to a place ``(2,)``, m; one that ends there at once is for the next step."""
+        self._place, self._turns = np.array(place, np.float64), 0
+        self._responses += Counter(decision.responses)
+        new = self._navigator.redirected(self._place)
+        planning = decision.latency["planning"] + new.latency["planning"]
+        new = replace(new, latency={**decision.latency, "planning": planning})
+        return self._instead(new, np.zeros(3), "chooses another place") if new.action[3] > 0.5 else new
 
     def _with_goal(self, observation: Observation) -> dict[str, np.ndarray]:
         return {**observation, "goal": self._place}
@@ -201,10 +205,10 @@ class SlamImageAgent:
 
     def _completed(self, decision: Decision, gives_up: bool) -> Decision:
         """Return the decision with the responses to failures of all drives so far."""
+        what = "exploring" if self._match is None else "driving to a match"
+        status = decision.status if decision.action[3] > 0.5 else f"{what}: {decision.status}"
         responses = self._responses + Counter(decision.responses)
-        if self._departs:  # the navigator begins to count anew
-            self._responses, self._departs = responses, False
-        return replace(decision, gives_up=gives_up, responses=dict(responses))
+        return replace(decision, status=status, gives_up=gives_up, responses=dict(responses))
 
 
 NOWHERE = "gave up: all that can be reached has been explored, and nothing looks like the image"
