@@ -1,6 +1,6 @@
 """Explore by the frontier with most unknown area in sight for its path length (Gonzalez-Banos and Latombe 2002).
 
-goal = argmax_f A(f) exp(-lambda (d(f) + c |b(f)|))          A: unknown area in sight of the goal, m^2; d: path length, m
+goal = argmax_f A(f) exp(-lambda (d(f) + c |b(f)|))     A: unknown area in sight of the goal, m^2; d: path length, m
 
 ``b`` is the bearing of the frontier, rad, for a robot that turns towards what it drives to; c is 0 as published.
 

@@ -112,7 +112,6 @@ class Navigator:
         began = time.perf_counter()
         if self._command is not None:
             self._estimate = self.surroundings.update(self._command, observation)
-        estimate = self._estimate
         tracked = time.perf_counter()
         if not np.array_equal(observation["goal"], self._task.goal):
             self._begin(observation["goal"])
