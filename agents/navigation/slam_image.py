@@ -40,7 +40,7 @@ class ImageGoalConfig:
     # A turn by a radian takes as long as 0.8 m of driving.
     frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8))
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
-    correlation: float = 0.7  # of image and map, for which exploration is interrupted
+    correlation: float = 0.75  # of image and map, for which exploration is interrupted
     doubtful: float = 0.5  # the same where nothing is left to explore
     share: float = 0.4  # of the image that the map shows
     better: float = 1.0  # nats a pixel by which a match must be likelier than the one that is driven to
