@@ -21,7 +21,8 @@ from vssm_gym.agents.shared.frontier_goals import FrontierGoals
 from vssm_gym.agents.shared.manoeuvres import Turn
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
-from vssm_gym.agents.shared.picture_search import Match, PictureSearch, PictureSearchConfig
+from vssm_gym.agents.shared.picture_matches import Match
+from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
 from vssm_gym.agents.shared.surroundings import GrowingMap
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -43,10 +44,8 @@ class ImageGoalConfig:
     correlation: float = 0.75  # of image and map, for which exploration is interrupted
     doubtful: float = 0.5  # the same where nothing is left to explore
     share: float = 0.4  # of the image that the map shows
-    better: float = 1.0  # nats a pixel by which a match must be likelier than the one that is driven to
     same_view: float = 0.75  # correlation of image and camera at the place, at least
     same_share: float = 0.2  # of the camera's image that the goal's image shows
-    same_place: tuple[float, float] = (0.5, 0.4)  # m, rad: a match that is nearer to a refuted one is refuted
     moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
     most_turns: int = 40  # steps of turning at a place: a noisy robot may not get nearer
 
@@ -92,7 +91,6 @@ class SlamImageAgent:
         self._goal_rgb = np.array(goal_rgb)
         self._search = PictureSearch(self._config.search, self._context, goal_rgb.astype(np.float32) / 255.0)
         self._match: Match | None = None  # that is driven to
-        self._refuted: list[np.ndarray] = []  # poses where the camera has seen something else
 
     def act(self, observation: Observation) -> Decision:
         """Drive to a pose that explains the image, or explore."""
@@ -106,7 +104,8 @@ class SlamImageAgent:
         self._search.step(self.map, plan)
         decision.latency["search"] = time.perf_counter() - began
         ended = bool(decision.action[3] > 0.5)
-        if (best := self._best(self._config.correlation)) is not None and self._is_better(best):
+        c = self._config
+        if (best := self._search.matches.best(c.correlation, c.share, than=self._match)) is not None:
             decision = self._drive_to(best, decision)
         elif self._match is not None:
             decision = self._at_match(decision, observation) if ended else decision
@@ -133,7 +132,7 @@ class SlamImageAgent:
                 decision = self._drive_to(again[0], decision)
                 self._corrected = True
                 return decision
-        self._refuted.append(match.planar)
+        self._search.matches.refute(match)
         self._match = None
         return self._explore(decision)
 
@@ -152,33 +151,16 @@ class SlamImageAgent:
         place = self._frontiers.choose(self.map, self.plan, self._navigator.estimate)
         if place is not None:
             return self._goto(place, decision)
-        if (best := self._best(self._config.doubtful)) is not None:
+        if (best := self._search.matches.best(self._config.doubtful, self._config.share)) is not None:
             return self._drive_to(best, decision)
         return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
-    # --- matches
-
-    def _best(self, correlation: float) -> Match | None:
-        """Return the likeliest match of such a correlation that has not been refuted."""
-        for one in self._search.matches:
-            if one.correlation >= correlation and one.share >= self._config.share and not self._is_refuted(one):
-                return one
-        return None
-
-    def _is_better(self, best: Match) -> bool:
-        """Return True for a match at another place than the present one, and likelier."""
-        now, c = self._match, self._config
-        return now is None or (best.log_prob > now.log_prob + c.better and not best.is_near(now.planar, *c.same_place))
-
-    def _is_refuted(self, match: Match) -> bool:
-        return any(match.is_near(planar, *self._config.same_place) for planar in self._refuted)
+    # --- the next drive
 
     def _drive_to(self, match: Match, decision: Decision) -> Decision:
         self._match, self._corrected = match, False
         self._frontiers.leave()
         return self._goto(match.planar[:2], decision)
-
-    # --- the navigator
 
     def _goto(self, place: np.ndarray, decision: Decision) -> Decision:
         """Return the decision that drives to a place ``(2,)``, m; one that ends there at once is for the next step."""

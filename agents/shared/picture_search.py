@@ -19,7 +19,8 @@ from scipy import ndimage
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.map_index import SPACING, rig_of
-from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, wrap_angle
+from vssm_gym.agents.shared.picture_matches import Match, Matches, MatchesConfig
+from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
 from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
 from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
@@ -46,34 +47,10 @@ class PictureSearchConfig:
     least: int = 40  # cells that have become known, for a new panorama
     every: int = 4  # steps between two alignments
     candidates: int = 3  # poses that are aligned at once
-    kept: int = 12  # matches
-    apart: float = 0.3  # m: matches that are nearer and
-    apart_heading: float = 0.3  # rad: nearer than this are one
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
     comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=10))
+    matches: MatchesConfig = field(default_factory=MatchesConfig)
     colour_view: ColourViewConfig = field(default_factory=ColourViewConfig)
-
-
-@dataclass(frozen=True)
-class Match:
-    """Hold a pose where the picture may have been taken.
-
-    Attributes:
-        planar: ``(3,)`` of the body, m and rad, in the map's frame.
-        log_prob: ``log p(picture | z, M)``, mean of a pixel, nats.
-        correlation: of the luminances of the picture and of the map seen from there.
-        share: of the picture that the map shows.
-    """
-
-    planar: np.ndarray
-    log_prob: float
-    correlation: float
-    share: float
-
-    def is_near(self, planar: np.ndarray, place: float, heading: float) -> bool:
-        """Return True where a pose ``(3,)`` is within ``place`` m and ``heading`` rad."""
-        turned = abs(float(wrap_angle(self.planar[2] - planar[2])))
-        return math.hypot(*(self.planar[:2] - planar[:2])) < place and turned < heading
 
 
 class PictureSearch:
@@ -103,7 +80,7 @@ class PictureSearch:
         self._scores = np.empty((0, config.cylinder.columns), np.float32)
         self._aligned: dict[tuple[int, int], float] = {}  # score of each place and heading when it was aligned last
         self._steps = 0
-        self.matches: list[Match] = []  # of the last alignment near each pose, the likeliest first
+        self.matches = Matches(config.matches)
 
     def step(self, m: VoxelMap, plan: FloorPlan) -> None:
         """Do one step's work, and update ``matches``.
@@ -116,9 +93,8 @@ class PictureSearch:
         self._steps += 1
         self._look(m, plan)
         if self._steps % c.every == 0 and len(self._places) and (poses := self._candidates()):
-            for new in self.align(m, poses):
-                others = [one for one in self.matches if not one.is_near(new.planar, c.apart, c.apart_heading)]
-                self.matches = sorted([*others, new], key=lambda one: -one.log_prob)[: c.kept]
+            for match in self.align(m, poses):
+                self.matches.add(match)
 
     def align(self, m: VoxelMap, poses: list[np.ndarray]) -> list[Match]:
         """Align the picture from poses ``(3,)`` of the body, at most ``candidates``; the likeliest first."""

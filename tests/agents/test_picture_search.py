@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.agents.test_agents import CAMERA, context, learned, observe
+from vssm_gym.agents.shared.picture_matches import Match, Matches
 from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -31,21 +32,38 @@ def found(learned) -> PictureSearch:
 
 
 def test_the_pose_of_a_picture_is_the_likeliest_match(found):
-    best = found.matches[0]
+    best = found.matches.all[0]
     assert best.is_near(TAKEN, 0.1, 0.1)
     assert best.correlation > 0.9
     assert best.share > 0.9
-    others = [one for one in found.matches[1:] if not one.is_near(TAKEN, 0.5, 0.4)]
+    others = [one for one in found.matches.all[1:] if not one.is_near(TAKEN, 0.5, 0.4)]
     assert others
     assert max(one.correlation for one in others) < best.correlation - 0.1
 
 
 def test_matches_are_apart_and_the_likeliest_first(found):
-    values = [one.log_prob for one in found.matches]
+    matches, config = found.matches.all, CONFIG.matches
+    values = [one.log_prob for one in matches]
     assert values == sorted(values, reverse=True)
-    assert len(values) <= CONFIG.kept
-    for i, one in enumerate(found.matches):
-        assert not any(one.is_near(other.planar, CONFIG.apart, CONFIG.apart_heading) for other in found.matches[:i])
+    assert len(values) <= config.kept
+    for i, one in enumerate(matches):
+        assert not any(one.is_near(other.planar, *config.apart) for other in matches[:i])
+
+
+def test_what_the_camera_has_refuted_is_no_match_again():
+    first, near, far = (Match(np.array([x, 0.0, 0.0]), 3.0 - x, 0.9, 0.9) for x in (0.0, 0.4, 2.0))
+    matches = Matches()
+    for one in (far, near, first):
+        matches.add(one)
+    assert matches.all == [first, near, far]
+    assert matches.best(0.8, 0.5) is first
+    assert matches.best(0.8, 0.5, than=near) is None  # nearby
+    assert matches.best(0.8, 0.5, than=far) is first
+    assert matches.best(0.8, 0.5, than=Match(far.planar, 2.5, 0.9, 0.9)) is None  # not likelier by enough
+    matches.refute(first)
+    assert matches.best(0.8, 0.5) is far
+    assert matches.best(0.95, 0.5) is None
+    assert matches.best(0.8, 0.95) is None
 
 
 def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learned, monkeypatch):
@@ -71,4 +89,4 @@ def test_the_camera_agrees_with_the_picture_at_its_place_alone(found, learned):
 
 def test_nothing_matches_noise(learned):
     noise = np.random.default_rng(0).integers(0, 256, (CAMERA.height, CAMERA.width, 3))
-    assert max((one.correlation for one in searched(learned, noise, 20).matches), default=0.0) < 0.4
+    assert max((one.correlation for one in searched(learned, noise, 20).matches.all), default=0.0) < 0.4
