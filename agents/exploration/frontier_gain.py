@@ -25,6 +25,7 @@ class FrontierGainConfig:
 
     decay: float = 0.2  # lambda, 1/m, as published
     turn: float = 0.0  # c, m of path that a turn by a radian costs as much as
+    least: float = 0.0  # m^2 in sight of a frontier, of which less is not worth a drive
     hazard: float = 0.0  # 1/m, of surfaces in unknown space
 
 
@@ -48,7 +49,10 @@ class FrontierGain:
         away = np.array([frontier.distance for frontier in found])
         x, y = np.array([frontier.goal for frontier in found]).T - situation.planar[:2, None]
         turns = np.abs(wrap_angle(np.arctan2(y, x) - situation.planar[2]))
-        k = int(np.argmax(area * np.exp(-self._config.decay * (away + self._config.turn * turns))))
+        utility = area * np.exp(-self._config.decay * (away + self._config.turn * turns))
+        k = int(np.argmax(np.where(area >= self._config.least, utility, -1.0)))
+        if area[k] < self._config.least:
+            return None
         best = found[k]
         dx, dy = best.xy.mean(axis=0) - best.goal
         heading = math.atan2(dy, dx)

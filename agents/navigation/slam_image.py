@@ -25,6 +25,8 @@ from vssm_gym.agents.shared.picture_matches import Match
 from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
 from vssm_gym.agents.shared.surroundings import GrowingMap
+from vssm_gym.agents.shared.unseen_views import UnseenViews, UnseenViewsConfig
+from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.planning.floor_plan import FloorPlan
@@ -38,12 +40,16 @@ class ImageGoalConfig:
     """Configure the search, and which of its matches are believed; lengths in metres."""
 
     search: PictureSearchConfig = field(default_factory=PictureSearchConfig)
-    # A turn by a radian takes as long as 0.8 m of driving.
-    frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8))
+    # A turn by a radian takes as long as 0.8 m of driving, and unseen views show what lies behind small frontiers.
+    frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8, least=1.0))
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
-    correlation: float = 0.75  # of image and map, for which exploration is interrupted
-    doubtful: float = 0.5  # the same where nothing is left to explore
+    views: UnseenViewsConfig = field(default_factory=UnseenViewsConfig)
+    # Likelihood (nats a pixel) and correlation of image and map for which exploration is interrupted; and where nothing
+    # is left to explore.
+    clear: tuple[float, float] = (3.5, 0.65)
+    doubtful: tuple[float, float] = (2.0, 0.5)
     share: float = 0.4  # of the image that the map shows
+    most_cost: float = 1.0  # of image and camera at the place: mean residual of the colours in standard deviations
     same_view: float = 0.75  # correlation of image and camera at the place, at least
     same_share: float = 0.2  # of the camera's image that the goal's image shows
     moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
@@ -90,6 +96,7 @@ class SlamImageAgent:
         """Begin the search for an image."""
         self._goal_rgb = np.array(goal_rgb)
         self._search = PictureSearch(self._config.search, self._context, goal_rgb.astype(np.float32) / 255.0)
+        self._views = UnseenViews(self._config.views)
         self._match: Match | None = None  # that is driven to
 
     def act(self, observation: Observation) -> Decision:
@@ -105,12 +112,12 @@ class SlamImageAgent:
         decision.latency["search"] = time.perf_counter() - began
         ended = bool(decision.action[3] > 0.5)
         c = self._config
-        if (best := self._search.matches.best(c.correlation, c.share, than=self._match)) is not None:
+        if (best := self._search.matches.best(*c.clear, c.share, than=self._match)) is not None:
             decision = self._drive_to(best, decision)
         elif self._match is not None:
             decision = self._at_match(decision, observation) if ended else decision
         elif ended or self._frontiers.is_seen(plan):
-            decision = self._at_frontier(decision, plan, ended)
+            decision = self._at_viewpoint(decision, plan, ended)
         return self._completed(decision, decision.status.startswith(NOWHERE))
 
     # --- at the end of a drive
@@ -124,8 +131,8 @@ class SlamImageAgent:
                 return self._instead(decision, command, "turns to where the image looked")
             again = self._search.align(self.map, [match.planar])
             image = RGBD.from_camera(observation["rgb"], observation["depth"])
-            correlation, share = self._search.agreement(image, self._navigator.estimate.planar, match.planar)
-            if again and correlation >= c.same_view and share >= c.same_share:
+            agreed = self._search.agreement(image, self._navigator.estimate.planar, match.planar)
+            if again and self._agrees(agreed):
                 moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
                 if moved <= c.moved or self._corrected:
                     return decision
@@ -136,22 +143,33 @@ class SlamImageAgent:
         self._match = None
         return self._explore(decision)
 
-    def _at_frontier(self, decision: Decision, plan: FloorPlan, ended: bool) -> Decision:
-        """Look at the frontier, and choose the next one."""
+    def _agrees(self, agreed: Agreement) -> bool:
+        """Return True where the camera sees what the image shows."""
+        c = self._config
+        fits = float(agreed.cost) <= c.most_cost and float(agreed.correlation) >= c.same_view
+        return fits and float(agreed.share) >= c.same_share
+
+    def _at_viewpoint(self, decision: Decision, plan: FloorPlan, ended: bool) -> Decision:
+        """Look at what the robot has driven to see, and choose the next place."""
         if ended:
             heading = self._frontiers.heading(self._navigator.estimate.planar)
+            heading = heading if self._views.chosen is None else float(self._views.chosen[2])
             if not (decision.gives_up or heading is None) and (command := self._turned(heading)) is not None:
-                return self._instead(decision, command, "looks at a frontier")
+                return self._instead(decision, command, "looks at what is unknown")
+            self._views.close()
             self._frontiers.dismiss(plan, reached=not decision.gives_up)
         return self._explore(decision)
 
     def _explore(self, decision: Decision) -> Decision:
-        """Drive to the next frontier; where there is none to the best match that is left, or give up."""
+        """Drive to the next frontier, else to an unseen view, else to the best match that is left; or give up."""
         assert self.plan is not None
-        place = self._frontiers.choose(self.map, self.plan, self._navigator.estimate)
+        estimate, search = self._navigator.estimate, self._search
+        place = self._frontiers.choose(self.map, self.plan, estimate)
+        if place is None and self._frontiers.roadmap is not None:
+            place = self._views.choose(search.places, search.shares, self._frontiers.roadmap, estimate.planar)
         if place is not None:
             return self._goto(place, decision)
-        if (best := self._search.matches.best(self._config.doubtful, self._config.share)) is not None:
+        if (best := self._search.matches.best(*self._config.doubtful, self._config.share)) is not None:
             return self._drive_to(best, decision)
         return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
@@ -160,6 +178,7 @@ class SlamImageAgent:
     def _drive_to(self, match: Match, decision: Decision) -> Decision:
         self._match, self._corrected = match, False
         self._frontiers.leave()
+        self._views.chosen = None
         return self._goto(match.planar[:2], decision)
 
     def _goto(self, place: np.ndarray, decision: Decision) -> Decision:

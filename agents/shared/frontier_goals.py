@@ -34,14 +34,17 @@ class FrontierGoals:
         self._radius, self._rig = 0.5 * context.body_length, rig_of(context)
         self._choice: Choice | None = None
         self._dismissed: list[np.ndarray] = []
+        self.roadmap: Roadmap | None = None  # of the last choice, with the first margin
 
     def choose(self, m: VoxelMap, plan: FloorPlan, estimate: Localization) -> np.ndarray | None:
         """Return the next place ``(2,)``, m; None where nothing is left to see."""
         self._choice = None
+        self.roadmap = None
         dismissed = np.concatenate(self._dismissed) if self._dismissed else np.empty((0, 2))
         T_body_cam = np.asarray(self._rig.T_body_cam, np.float64)
         for margin in self._margins:
             roadmap = Roadmap.of(plan, estimate.planar[:2], self._radius + margin)
+            self.roadmap = roadmap if self.roadmap is None else self.roadmap
             situation = Situation(
                 m, roadmap, estimate.planar, estimate.std, self._rig.camera, T_body_cam, dismissed, True
             )

@@ -58,10 +58,11 @@ class Matches:
         """Refute a match and all that will be found near it."""
         self._refuted.append(match.planar)
 
-    def best(self, correlation: float, share: float, than: Match | None = None) -> Match | None:
+    def best(self, log_prob: float, correlation: float, share: float, than: Match | None = None) -> Match | None:
         """Return the likeliest match that is not refuted; None where there is none.
 
         Args:
+            log_prob: of the match, at least.
             correlation: of the match, at least.
             share: of the match, at least.
             than: a match at another place, which it must be better than.
@@ -69,7 +70,8 @@ class Matches:
         c = self._config
         for one in self.all:
             refuted = any(one.is_near(planar, *c.refuted) for planar in self._refuted)
-            if one.correlation >= correlation and one.share >= share and not refuted:
+            fits = one.log_prob >= log_prob and one.correlation >= correlation and one.share >= share
+            if fits and not refuted:
                 if than is None:
                     return one
                 likelier = one.log_prob > than.log_prob + c.better

@@ -15,12 +15,14 @@ from dataclasses import dataclass, field
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy import ndimage
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.map_index import SPACING, rig_of
 from vssm_gym.agents.shared.picture_matches import Match, Matches, MatchesConfig
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
+from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
 from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
@@ -28,12 +30,12 @@ from vssm_gym.inference.relocalisation.panoramas import Panoramas
 from vssm_gym.inference.relocalisation.relocaliser import compared, planar_of, without_depth
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.inference.tracking.localise import shrunk
-from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.maps.block_table import BLOCK
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
 from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.manifold import PLANAR
 from vssm_gym.planning.floor_plan import FloorPlan
-from vssm_gym.planning.occupancy_grid import UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class PictureSearchConfig:
     extent: float = 36.0  # along x and y, around the start
     sight: float = 3.0  # half the side of the box around a place in which what becomes known calls for a new panorama
     panoramas: int = 8  # rendered in a step
-    least: int = 40  # cells that have become known, for a new panorama
+    least: int = 1000  # cells that have become known, for a new panorama: a block of 0.7 m
     every: int = 4  # steps between two alignments
     candidates: int = 3  # poses that are aligned at once
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
@@ -76,7 +78,8 @@ class PictureSearch:
         self._grid = self._corner + config.spacing * np.moveaxis(np.indices((n, n)), 0, -1)
         self._known = np.full((n, n), -np.inf)  # cells known around a place when its panorama was rendered
         self._row = np.full((n, n), -1)  # of ``_scores``
-        self._places = np.empty((0, 2))
+        self.places = np.empty((0, 2))  # (n, 2) m, with a panorama
+        self.shares = np.empty((0, config.cylinder.columns))  # of the view at each heading there that the map shows
         self._scores = np.empty((0, config.cylinder.columns), np.float32)
         self._aligned: dict[tuple[int, int], float] = {}  # score of each place and heading when it was aligned last
         self._steps = 0
@@ -92,7 +95,7 @@ class PictureSearch:
         c = self._config
         self._steps += 1
         self._look(m, plan)
-        if self._steps % c.every == 0 and len(self._places) and (poses := self._candidates()):
+        if self._steps % c.every == 0 and len(self.places) and (poses := self._candidates()):
             for match in self.align(m, poses):
                 self.matches.add(match)
 
@@ -118,29 +121,28 @@ class PictureSearch:
         ]
         return sorted((one for one in found if np.isfinite(one.planar).all()), key=lambda one: -one.log_prob)
 
-    def agreement(self, image: RGBD, planar: np.ndarray, taken: np.ndarray) -> tuple[float, float]:
-        """Return the correlation of a camera image with the picture, and the share of the image that it shows.
+    def agreement(self, image: RGBD, planar: np.ndarray, taken: np.ndarray) -> Agreement:
+        """Compare a camera image with the picture, by the colours of what both show.
 
         Args:
             image: at the camera's size.
             planar: ``(3,)`` of the body with it, m and rad.
             taken: the same where the picture may have been taken.
         """
-        agreed = compared(image, planar, self._rgb, taken, self._rig, self._config.colour_view)
-        return float(agreed.correlation), float(agreed.share)
+        return compared(image, planar, self._rgb, taken, self._rig, self._config.colour_view)
 
     def _candidates(self) -> list[np.ndarray]:
         """Return the poses of the highest scores that are apart and have not been aligned with that score."""
         c = self._config
-        best = peaks(self._scores, self._places, c.cylinder.step, c.comparison)
+        best = peaks(self._scores, self.places, c.cylinder.step, c.comparison)
         due = [at for at in best if self._aligned.get(at) != self._scores[at]][: c.candidates]
         self._aligned.update((at, float(self._scores[at])) for at in due)
-        return [planar_of(self._places[place], heading * c.cylinder.step, self._rig) for place, heading in due]
+        return [planar_of(self.places[place], heading * c.cylinder.step, self._rig) for place, heading in due]
 
     def _look(self, m: VoxelMap, plan: FloorPlan) -> None:
         """Render the panoramas that are due most, and compare them with the picture."""
         c = self._config
-        known = self._known_around(plan)
+        known = self._known_around(m)
         due = np.where(self._is_free(plan), known - self._known, -np.inf)
         chosen = np.argsort(-due, axis=None, kind="stable")[: c.panoramas]
         chosen = chosen[due.reshape(-1)[chosen] >= c.least]
@@ -149,23 +151,31 @@ class PictureSearch:
         at = np.unravel_index(chosen, due.shape)
         panoramas = Panoramas.of(m, self._cylinder, self._grid[at], MAX_DEPTH, c.panoramas)
         scores = compare(self._ring, panoramas, self._cylinder, c.comparison)
+        new = self._row[at] < 0
+        self._row[at] = np.where(new, len(self.places) + np.cumsum(new) - 1, self._row[at])
+        self.places = np.concatenate([self.places, self._grid[at][new]])
+        self.shares = np.concatenate([self.shares, np.zeros((new.sum(), scores.shape[1]))])
+        self._scores = np.concatenate([self._scores, scores[new]])
+        self._scores[self._row[at]], self.shares[self._row[at]] = scores, self._shown(panoramas)
         self._known[at] = known[at]
-        for k, (i, j) in enumerate(zip(*at, strict=True)):
-            if self._row[i, j] >= 0:
-                self._scores[self._row[i, j]] = scores[k]
-            else:
-                self._row[i, j] = len(self._places)
-                self._places = np.concatenate([self._places, self._grid[i, j][None]])
-                self._scores = np.concatenate([self._scores, scores[k : k + 1]])
 
-    def _known_around(self, plan: FloorPlan) -> np.ndarray:
-        """Return the number of known cells of the plan in the box around each place."""
-        c, n = self._config, len(self._known)
-        place = np.floor((plan.centres(np.argwhere(plan.cells != UNKNOWN)) - self._corner) / c.spacing + 0.5)
-        place = np.clip(place.astype(int), 0, n - 1)
-        count = np.bincount(place[:, 0] * n + place[:, 1], minlength=n * n).reshape(n, n).astype(np.float64)
-        size = 2 * math.ceil(c.sight / c.spacing) + 1
-        return ndimage.uniform_filter(count, size, mode="constant") * size**2
+    def _shown(self, panoramas: Panoramas) -> np.ndarray:
+        """Return the share of the view at each place and heading that the map shows, ``(n, columns)``."""
+        cylinder, columns = self._cylinder, self._cylinder.config.columns
+        seen = panoramas.ring.seen.mean(axis=0)[:, :columns]
+        window = (cylinder.first + np.arange(cylinder.columns) + np.arange(columns)[:, None]) % columns
+        return seen[:, window].mean(axis=-1)
+
+    def _known_around(self, m: VoxelMap) -> np.ndarray:
+        """Return the number of observed cells of the map in the box around each place, to a block."""
+        edge = BLOCK * float(m.voxel_size)
+        count = np.asarray(_observed(m.occupancy_precision)).reshape(-1)
+        by_block = count.reshape(m.blocks) if m.table is None else count[np.asarray(m.table.slot)]
+        size = 2 * math.ceil(self._config.sight / edge) + 1
+        around = ndimage.uniform_filter(by_block.sum(axis=2).astype(np.float64), size, mode="constant") * size**2
+        block = np.floor((self._grid - np.asarray(m.origin, np.float64)[:2]) / edge).astype(int)
+        block = np.clip(block, 0, np.array(around.shape) - 1)
+        return around[block[..., 0], block[..., 1]]
 
     def _is_free(self, plan: FloorPlan) -> np.ndarray:
         """Mark the places where the body is free, to a cell."""
@@ -174,3 +184,9 @@ class PictureSearch:
         inside = np.all((cell >= 0) & (cell < space.clearance.shape), axis=-1)
         held = np.where(inside[..., None], cell, 0)
         return inside & (space.clearance[held[..., 0], held[..., 1]] >= self._room)
+
+
+@jax.jit
+def _observed(precision: Array) -> Array:
+    """Return the number of observed cells of each block."""
+    return jnp.sum(precision > OBSERVED_PRECISION, axis=-1)
