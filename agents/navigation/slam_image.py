@@ -49,10 +49,11 @@ class ImageGoalConfig:
     clear: tuple[float, float] = (3.5, 0.65)
     doubtful: tuple[float, float] = (2.0, 0.5)
     share: float = 0.4  # of the image that the map shows
-    most_cost: float = 1.0  # of image and camera at the place: mean residual of the colours in standard deviations
+    most_cost: float = 0.9  # of image and camera at the place: mean residual of the colours in standard deviations
     same_view: float = 0.75  # correlation of image and camera at the place, at least
     same_share: float = 0.2  # of the camera's image that the goal's image shows
     moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
+    corrections: int = 3  # at most, of a match
     most_turns: int = 40  # steps of turning at a place: a noisy robot may not get nearer
 
 
@@ -113,6 +114,7 @@ class SlamImageAgent:
         ended = bool(decision.action[3] > 0.5)
         c = self._config
         if (best := self._search.matches.best(*c.clear, c.share, than=self._match)) is not None:
+            self._corrections = 0
             decision = self._drive_to(best, decision)
         elif self._match is not None:
             decision = self._at_match(decision, observation) if ended else decision
@@ -134,11 +136,10 @@ class SlamImageAgent:
             agreed = self._search.agreement(image, self._navigator.estimate.planar, match.planar)
             if again and self._agrees(agreed):
                 moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
-                if moved <= c.moved or self._corrected:
+                if moved <= c.moved or self._corrections >= c.corrections:
                     return decision
-                decision = self._drive_to(again[0], decision)
-                self._corrected = True
-                return decision
+                self._corrections += 1
+                return self._drive_to(again[0], decision)
         self._search.matches.refute(match)
         self._match = None
         return self._explore(decision)
@@ -170,13 +171,14 @@ class SlamImageAgent:
         if place is not None:
             return self._goto(place, decision)
         if (best := self._search.matches.best(*self._config.doubtful, self._config.share)) is not None:
+            self._corrections = 0
             return self._drive_to(best, decision)
         return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
     # --- the next drive
 
     def _drive_to(self, match: Match, decision: Decision) -> Decision:
-        self._match, self._corrected = match, False
+        self._match = match
         self._frontiers.leave()
         self._views.chosen = None
         return self._goto(match.planar[:2], decision)
