@@ -2,7 +2,7 @@
 
 ``slam_image`` reads RGB-D, its own commands and the goal's image. It drives as ``slam_nav`` in the map that PRISM
 builds, from frontier to frontier, and searches that map for the image at every step
-(:class:`~vssm_gym.agents.shared.picture_search.PictureSearch`). Where a pose explains the image it drives there, turns
+(:class:`~vssm_gym.agents.shared.searching.picture_search.PictureSearch`). Where a pose explains the image it drives there, turns
 to where the image should have looked, and compares the image with the camera's. Described in
 ``docs/agents/navigation.md``.
 """
@@ -15,17 +15,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
-from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.navigation.slam_nav import CONFIG as SLAM_NAV
-from vssm_gym.agents.shared.frontier_goals import FrontierGoals
+from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.manoeuvres import Turn
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
-from vssm_gym.agents.shared.picture_matches import Match
-from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
+from vssm_gym.agents.shared.searching.frontier_goals import FrontierGoals
+from vssm_gym.agents.shared.searching.picture_matches import Match
+from vssm_gym.agents.shared.searching.picture_search import PictureSearch, PictureSearchConfig
+from vssm_gym.agents.shared.searching.unseen_views import UnseenViews, UnseenViewsConfig
 from vssm_gym.agents.shared.surroundings import GrowingMap
-from vssm_gym.agents.shared.unseen_views import UnseenViews, UnseenViewsConfig
 from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
