@@ -2,8 +2,8 @@
 
 ``slam_image`` reads RGB-D, its own commands and the goal's image. It drives as ``slam_nav`` in the map that PRISM
 builds, from frontier to frontier, and searches that map for the image at every step
-(:class:`~vssm_gym.agents.shared.searching.picture_search.PictureSearch`). Where a pose explains the image it drives there, turns
-to where the image should have looked, and compares the image with the camera's. Described in
+(:class:`~vssm_gym.agents.shared.searching.picture_search.PictureSearch`). Where a pose explains the image it drives
+there, turns to where the image should have looked, and compares the image with the camera's. Described in
 ``docs/agents/navigation.md``.
 """
 
