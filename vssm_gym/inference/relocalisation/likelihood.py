@@ -47,9 +47,7 @@ def compare(
     return -cost / max(float(image.seen.sum()), 1.0)
 
 
-def peaks(
-    scores: Float[np.ndarray, "n headings"], places: Float[np.ndarray, "n 2"], step: float, config: ComparisonConfig
-) -> list[tuple[int, int]]:
+def peaks(scores: np.ndarray, panoramas: Panoramas, step: float, config: ComparisonConfig) -> list[tuple[int, int]]:
     """Return the best ``(place, heading)`` that are apart, best first."""
     columns = scores.shape[1]
     reach = math.floor(config.apart_heading / step)
@@ -59,7 +57,7 @@ def peaks(
         if not np.isfinite(left[place, heading]):
             break
         found.append((place, heading))
-        near = np.hypot(*(places - places[place]).T) < config.apart
+        near = np.hypot(*(panoramas.places - panoramas.places[place]).T) < config.apart
         window = (heading + np.arange(-reach, reach + 1)) % columns
         left[np.ix_(near, window)] = -np.inf
     return found
