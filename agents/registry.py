@@ -29,6 +29,7 @@ from vssm_gym.agents.navigation.dist_bug import DistBugAgent
 from vssm_gym.agents.navigation.no_map import NoMapAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
+from vssm_gym.agents.navigation.slam_image import SlamImageAgent
 from vssm_gym.agents.navigation.slam_nav import SlamNavAgent
 from vssm_gym.agents.navigation.slam_nav_ablations import (
     FrontierNavAgent,
@@ -48,6 +49,7 @@ AGENTS: dict[str, type[Agent]] = {
     for agent in (
         AStarAgent,
         AStarImageAgent,
+        SlamImageAgent,
         NoMapAgent,
         DeadReckoningAgent,
         OracleAgent,

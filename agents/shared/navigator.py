@@ -112,13 +112,22 @@ class Navigator:
         began = time.perf_counter()
         if self._command is not None:
             self._estimate = self.surroundings.update(self._command, observation)
-        estimate = self._estimate
         tracked = time.perf_counter()
         if not np.array_equal(observation["goal"], self._task.goal):
             self._begin(observation["goal"])
+        return self._decision({"tracking": tracked - began})
+
+    def redirected(self, goal: np.ndarray) -> Decision:
+        """Return the decision for another goal ``(2,)``, m, in place of that of the last `act`."""
+        self._begin(goal)
+        return self._decision({})
+
+    def _decision(self, latency: dict[str, float]) -> Decision:
+        """Decide, remember the command, and add the time that it took."""
+        began, estimate = time.perf_counter(), self._estimate
         activity, stop, command = self._decide(estimate)
         self._remember(estimate, command)
-        latency = {"tracking": tracked - began, "planning": time.perf_counter() - tracked}
+        latency = {**latency, "planning": time.perf_counter() - began}
         action = np.array([*command, float(stop)], np.float32)
         status = f"{activity}; localization: {estimate.status}"
         path = None if self._task.path is None else self._task.path.path

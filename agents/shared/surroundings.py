@@ -168,6 +168,10 @@ class GrowingMap:
         space = of_plan(plan, goal, self._body, self._traversability)
         return Terrain(space, plan.clearance(planar[:2], NEAR), changed, plan)
 
+    def floor_plan(self) -> FloorPlan:
+        """Read the floor plan of the belief; the next look is not affected."""
+        return self._own.plan()
+
     def sees_ahead(self) -> bool:
         """Return True unless the middle of the last image has next to no depth, as before a wall too near to see."""
         rows, columns = self._depth.shape

@@ -6,6 +6,7 @@ import pytest
 from tests.agents.test_agents import CAMERA, LOW, context, learned, observe
 from tests.helpers.planning_worlds import APART, twin_rooms
 from vssm_gym.agents.navigation.astar_image import AStarImageAgent
+from vssm_gym.agents.navigation.slam_image import NOWHERE, SlamImageAgent
 from vssm_gym.envs.robots import execute
 from vssm_gym.maps.voxel_map import VoxelMap
 
@@ -21,13 +22,17 @@ def seen(planar: np.ndarray, taken: np.ndarray, m: VoxelMap) -> dict[str, np.nda
     return observation | {"goal_rgb": observe(taken, planar[:2], m)["rgb"]}
 
 
-def drive(m: VoxelMap, start: np.ndarray, taken: np.ndarray, steps: int = 120):
-    """Drive to where an image was taken; return agent, decisions and the true pose at the end."""
-    rng, planar, agent = np.random.default_rng(0), start, AStarImageAgent()
-    agent.reset(context(m, start), seen(planar, taken, m), 0)
+def drive(m: VoxelMap, start: np.ndarray, taken: np.ndarray, agent=None, steps: int = 120, goal_rgb=None):
+    """Drive to where an image was taken; return the decisions and the true pose at the end.
+
+    ``goal_rgb`` replaces that image. An agent without a map gets none.
+    """
+    agent = AStarImageAgent() if agent is None else agent
+    rng, planar, other = np.random.default_rng(0), start, {} if goal_rgb is None else {"goal_rgb": goal_rgb}
+    agent.reset(context(m if agent.needs_map else None, start), seen(planar, taken, m) | other, 0)
     decisions = []
     for _ in range(steps):
-        decisions.append(agent.act(seen(planar, taken, m)))
+        decisions.append(agent.act(seen(planar, taken, m) | other))
         if decisions[-1].action[3] > 0.5:
             break
         planar = execute(planar, decisions[-1].action[:3], LOW, rng)
@@ -57,3 +62,58 @@ def test_places_out_of_reach_are_given_up_for_the_next_one():
         decisions, planar = drive(m, start + here, taken + here)
         assert decisions[-1].action[3] > 0.5
         assert np.hypot(*(planar[:2] - (taken + here)[:2])) <= NEAR
+
+
+@pytest.mark.parametrize(
+    "taken",
+    [(4.3, 0.6, 2.5), *(pytest.param(t, marks=pytest.mark.slow) for t in ((0.8, 2.2, -0.8), (3.0, 2.0, -2.4)))],
+)
+def test_the_place_of_an_image_is_found_in_an_apartment_that_nobody_has_mapped(taken, learned):
+    agent = SlamImageAgent()
+    decisions, planar = drive(learned, np.array([1.0, 1.0, 1.0]), np.array(taken), agent, steps=300)
+    assert decisions[-1].status.startswith("arrived")
+    assert not decisions[-1].gives_up
+    assert np.hypot(*(planar[:2] - np.array(taken)[:2])) <= NEAR
+    assert agent.map.table is not None
+    assert {"tracking", "planning", "search"} <= set(decisions[0].latency)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["noise", "black", "another room"])
+def test_an_image_of_nowhere_is_never_arrived_at(kind, learned):
+    """The robot explores all of the apartment and gives up."""
+    size, start = (CAMERA.height, CAMERA.width, 3), np.array([1.0, 1.0, 1.0])
+    pictures = {
+        "noise": np.random.default_rng(0).integers(0, 256, size).astype(np.uint8),
+        "black": np.zeros(size, np.uint8),
+        "another room": observe(np.array([1.9, 1.7, 0.0]), start[:2], twin_rooms(differ=False))["rgb"],
+    }
+    decisions, _ = drive(learned, start, start, SlamImageAgent(), steps=500, goal_rgb=pictures[kind])
+    assert decisions[-1].action[3] > 0.5
+    assert decisions[-1].gives_up
+    assert decisions[-1].status == NOWHERE
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_commands(learned):
+    """Two agents, and one agent in two episodes."""
+    start, taken, agent = np.array([1.0, 1.0, 1.0]), np.array([4.3, 0.6, 2.5]), SlamImageAgent()
+    runs = [drive(learned, start, taken, one, steps=60)[0] for one in (agent, SlamImageAgent(), agent)]
+    first, *others = ([decision.action.tolist() for decision in decisions] for decisions in runs)
+    assert all(other == first for other in others)
+
+
+@pytest.mark.slow
+def test_the_next_image_is_looked_for_from_where_the_robot_stands(learned):
+    """A goal that changes is a new task: the map stays, and what was refuted for one image is not for another."""
+    rng, planar, agent = np.random.default_rng(0), np.array([1.0, 1.0, 1.0]), SlamImageAgent()
+    places = [np.array([0.8, 2.2, -0.8]), np.array([4.3, 0.6, 2.5])]
+    agent.reset(context(None, planar), seen(planar, places[0], learned), 0)
+    for taken in places:
+        for _ in range(300):
+            decision = agent.act(seen(planar, taken, learned))
+            if decision.action[3] > 0.5:
+                break
+            planar = execute(planar, decision.action[:3], LOW, rng)
+        assert decision.status.startswith("arrived")
+        assert np.hypot(*(planar[:2] - taken[:2])) <= NEAR

@@ -185,11 +185,12 @@ def test_an_agent_with_an_image_for_its_goal_is_judged_where_the_place_is_given(
 @pytest.mark.parametrize(
     ("options", "agent"),
     [
-        (("--goal", "5,2"), navigate_module.WITHOUT_MAP),
-        (("--goal", "5,2", "--map", "oak"), navigate_module.WITH_MAP),
-        (("--goal", __file__, "--map", "oak"), navigate_module.TO_IMAGE),
+        (("--goal", "5,2"), "slam_nav"),
+        (("--goal", "5,2", "--map", "oak"), "astar"),
+        (("--goal", __file__, "--map", "oak"), "astar_image"),
+        (("--goal", __file__), "slam_image"),
         (("--goal", "5,2", "--map", "oak", "--agent", "oracle"), "oracle"),
-        (("--goal", "-5.5,-2", "--start", "-1,-2"), navigate_module.WITHOUT_MAP),  # no options, though they begin so
+        (("--goal", "-5.5,-2", "--start", "-1,-2"), "slam_nav"),  # no options, though they begin so
     ],
 )
 def test_the_agent_follows_from_map_and_goal(vssm, tmp_path, monkeypatch, options, agent):

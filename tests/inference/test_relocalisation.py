@@ -104,7 +104,7 @@ def test_candidates_are_apart_and_in_order(flat):
     cylinder, config = Cylinder.of(RIG), ComparisonConfig()
     panoramas = Panoramas.of(flat, cylinder, grid((0.5, 0.5), (2.0, 2.0)), RANGE)
     scores = np.random.default_rng(0).normal(size=(len(panoramas.places), cylinder.config.columns))
-    found = peaks(scores, panoramas, cylinder.config.step, config)
+    found = peaks(scores, panoramas.places, cylinder.config.step, config)
     values = [scores[one] for one in found]
     assert values == sorted(values, reverse=True)
     assert values[0] == scores.max()

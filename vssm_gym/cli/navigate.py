@@ -8,7 +8,12 @@ from vssm_gym.cli.shared.interruption import interruptible
 
 MAP = "map.npz"  # of an agent that maps
 FILES = "run.mp4", "run.png", MAP, "run.json"
-WITH_MAP, WITHOUT_MAP, TO_IMAGE = "astar", "slam_nav", "astar_image"  # the default agents
+DEFAULTS = {  # the default agents: to (an image, in a given map)
+    (False, True): "astar",
+    (False, False): "slam_nav",
+    (True, True): "astar_image",
+    (True, False): "slam_image",
+}
 GOAL, START = "numbers x,y in metres, or the file of an image", "numbers x,y or x,y,heading in metres and radians"
 
 
@@ -38,7 +43,8 @@ def navigate(
         out: new or empty folder. Map, row and picture are there when the run has ended, the video somewhat later.
         map: file of `vssm-gym map build`, or the name of a map that comes with the package (oak), for an agent that
             needs one.
-        agent: a navigation agent; by default astar with a map, slam_nav without one, astar_image to an image.
+        agent: a navigation agent; by default astar with a map, slam_nav without one; to an image astar_image
+            with a map, slam_image without one.
         start: x,y or x,y,heading in metres and radians; by default the start of the scene's first test task.
         noise: execution noise: none, low, mid or high.
         sensor_noise: noise of the camera: none, kinect or stereo.
@@ -59,7 +65,7 @@ def navigate(
         at = parse_numbers("navigate", "start", start, float, START)
         if len(at) not in (2, 3):
             raise InputError("navigate", "start", f"{START}, not {start!r}")
-    default = TO_IMAGE if isinstance(to, Path) else WITHOUT_MAP if map is None else WITH_MAP
+    default = DEFAULTS[isinstance(to, Path), map is not None]
     drive = Drive(
         scene=scene,
         goal=to,

@@ -21,7 +21,7 @@ from vssm_gym.inference.alignment.exposure import gain
 from vssm_gym.inference.alignment.residuals import AlignConfig, luminance, make_observed, make_reference, stride
 from vssm_gym.inference.relocalisation.refinement import Refined, render_all
 from vssm_gym.maps.voxel_map import VoxelMap
-from vssm_gym.model.emission import RGBD
+from vssm_gym.model.emission import RGBD, render
 from vssm_gym.model.emission_density import EmissionScales, log_prob
 
 
@@ -143,3 +143,35 @@ def align_views(
         T = _align(T, render_all(m, T, camera, max_depth), rgb, camera, basis, align, config)
     brightness, log_probs = _weigh(render_all(m, T, camera, max_depth), rgb, scales)
     return Refined(T, brightness, log_probs)
+
+
+@jax.jit
+def view_agreement(
+    m: VoxelMap,
+    T_world_cam: Float[Array, "n 4 4"],
+    rgb: Float[Array, "height width 3"],
+    camera: Camera,
+    max_depth: float | Array,
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """Compare a picture with the map seen from poses: the correlation of their luminances, and the share compared.
+
+    Args:
+        m: the map.
+        T_world_cam: of the picture's camera.
+        rgb: the picture, in [0, 1].
+        camera: its intrinsics.
+        max_depth: of the rendering, m.
+
+    Returns:
+        ``rho`` over the pixels where the map shows an observed surface, 0 where it has no contrast; and their share.
+    """
+    picture = luminance(rgb)
+
+    def one(T):
+        view = render(m, T, camera, max_depth)
+        weight = view.known / jnp.maximum(jnp.sum(view.known), 1)
+        a, b = (x - jnp.sum(weight * x) for x in (picture, luminance(view.rgb)))
+        spread = jnp.sqrt(jnp.sum(weight * a * a) * jnp.sum(weight * b * b))
+        return jnp.sum(weight * a * b) / jnp.maximum(spread, 1e-6), jnp.mean(view.known)
+
+    return jax.lax.map(one, T_world_cam)

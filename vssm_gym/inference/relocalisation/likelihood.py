@@ -47,7 +47,9 @@ def compare(
     return -cost / max(float(image.seen.sum()), 1.0)
 
 
-def peaks(scores: np.ndarray, panoramas: Panoramas, step: float, config: ComparisonConfig) -> list[tuple[int, int]]:
+def peaks(
+    scores: Float[np.ndarray, "n headings"], places: Float[np.ndarray, "n 2"], step: float, config: ComparisonConfig
+) -> list[tuple[int, int]]:
     """Return the best ``(place, heading)`` that are apart, best first."""
     columns = scores.shape[1]
     reach = math.floor(config.apart_heading / step)
@@ -57,7 +59,7 @@ def peaks(scores: np.ndarray, panoramas: Panoramas, step: float, config: Compari
         if not np.isfinite(left[place, heading]):
             break
         found.append((place, heading))
-        near = np.hypot(*(panoramas.places - panoramas.places[place]).T) < config.apart
+        near = np.hypot(*(places - places[place]).T) < config.apart
         window = (heading + np.arange(-reach, reach + 1)) % columns
         left[np.ix_(near, window)] = -np.inf
     return found

@@ -32,7 +32,14 @@ class Panoramas:
     ring: Ring
 
     @classmethod
-    def of(cls, m: VoxelMap, cylinder: Cylinder, places: Float[np.ndarray, "n 2"], max_depth: float) -> "Panoramas":
+    def of(
+        cls,
+        m: VoxelMap,
+        cylinder: Cylinder,
+        places: Float[np.ndarray, "n 2"],
+        max_depth: float,
+        batch: int = BATCH,
+    ) -> "Panoramas":
         """Render the panoramas of a map.
 
         Args:
@@ -40,16 +47,17 @@ class Panoramas:
             cylinder: of the camera.
             places: of the camera, m.
             max_depth: range of the rendering, m.
+            batch: places that are rendered by one call; it is part of what is compiled.
         """
         c, height = cylinder.config, float(cylinder.rig.T_body_cam[2, 3])
         directions = cylinder.directions(0, c.columns, c.map_samples).reshape(-1, 3)
         centres = np.concatenate([places, np.full((len(places), 1), height)], axis=1)
         parts = []
-        for begin in range(0, len(centres), BATCH):
-            batch = centres[begin : begin + BATCH]
-            padded = np.concatenate([batch, np.repeat(batch[:1], BATCH - len(batch), axis=0)])
+        for begin in range(0, len(centres), batch):
+            some = centres[begin : begin + batch]
+            padded = np.concatenate([some, np.repeat(some[:1], batch - len(some), axis=0)])
             seen = _look_around(m, jnp.asarray(padded, jnp.float32), jnp.asarray(directions, jnp.float32), max_depth)
-            parts.append([_pooled(np.asarray(a)[: len(batch)], c.rows, c.columns) for a in seen])
+            parts.append([_pooled(np.asarray(a)[: len(some)], c.rows, c.columns) for a in seen])
         distance, rgb, known = (np.concatenate(a) for a in zip(*parts, strict=True))
         return cls(np.asarray(places, np.float64), _ring(distance, rgb, known))
 

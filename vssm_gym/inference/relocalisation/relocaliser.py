@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, wrap_angle
+from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.inference.alignment.aliasing import APART
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
@@ -163,7 +164,7 @@ class Relocaliser:
         ring = self.cylinder.resample(np.asarray(image.rgb), np.asarray(image.depth))
         comparison = self.config.comparison
         scores = compare(ring, self.panoramas, self.cylinder, comparison)
-        candidates = peaks(scores, self.panoramas, self.config.cylinder.step, comparison)
+        candidates = peaks(scores, self.panoramas.places, self.config.cylinder.step, comparison)
         return self._judge(image, [Hypothesis(self.planar(*candidate), 0.0) for candidate in candidates])
 
     def narrowed(
@@ -205,9 +206,9 @@ class Relocaliser:
         if float(np.std(rgb.mean(-1))) < c.min_contrast:
             return Found(Outcome.NOTHING)
         scores = compare(self.cylinder.resample(rgb, None), self.panoramas, self.cylinder, c.comparison)
-        found = peaks(scores, self.panoramas, self.config.cylinder.step, c.comparison)
+        found = peaks(scores, self.panoramas.places, self.config.cylinder.step, c.comparison)
         poses, T_body_cam = self._poses([self.planar(*one) for one in found], c.comparison.candidates)
-        small, rig = shrunk(_without_depth(rgb), self.rig, c.colour_view.width)
+        small, rig = shrunk(without_depth(rgb), self.rig, c.colour_view.width)
         basis = camera_twists(PLANAR, rig)
         aligned = align_views(self.map, poses, small.rgb, rig.camera, basis, self.max_depth, c.colour_view, c.scales)
         T, likelihood = _on_host(aligned, len(found))
@@ -227,21 +228,13 @@ class Relocaliser:
             rgb: the picture, in [0, 1], at that size.
             taken: pose of the body where the picture may have been taken.
         """
-        c, T_body_cam = self.config, np.asarray(self.rig.T_body_cam, np.float64)
-        T_world_image, T_world_picture = (planar_to_matrix(np.asarray(p)) @ T_body_cam for p in (planar, taken))
-        small, rig = shrunk(image, self.rig, c.colour_view.width)
-        picture, _ = shrunk(_without_depth(rgb), self.rig, c.colour_view.width)
-        T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
-        agrees = picture_agreement(small, picture.rgb, T, rig.camera, camera_twists(PLANAR, rig), c.colour_view)
-        return float(agrees.correlation) >= c.picture_correlation and float(agrees.share) >= c.picture_share
+        c = self.config
+        agreed = compared(image, planar, rgb, taken, self.rig, c.colour_view)
+        return float(agreed.correlation) >= c.picture_correlation and float(agreed.share) >= c.picture_share
 
     def planar(self, place: int, heading: int) -> Float[np.ndarray, "3"]:
         """Return the pose of the body whose camera is at a place of the index, at a column's heading."""
-        angle = float(wrap_angle(heading * self.config.cylinder.step))
-        ahead, left = np.asarray(self.rig.T_body_cam, np.float64)[:2, 3]
-        x, y = self.panoramas.places[place]
-        c, s = math.cos(angle), math.sin(angle)
-        return np.array([x - c * ahead + s * left, y - s * ahead - c * left, angle])
+        return planar_of(self.panoramas.places[place], heading * self.config.cylinder.step, self.rig)
 
     def _is_legible(self, image: RGBD) -> bool:
         """Return True if an image has enough readings and contrast to say where it was taken."""
@@ -316,7 +309,43 @@ class Relocaliser:
 _expected = jax.jit(lambda transition, mean, control, dt: transition.expected(mean, control, dt))
 
 
-def _without_depth(rgb: np.ndarray) -> RGBD:
+def compared(
+    image: RGBD,
+    planar: Float[np.ndarray, "3"],
+    rgb: np.ndarray,
+    taken: Float[np.ndarray, "3"],
+    rig: Rig,
+    config: ColourViewConfig,
+) -> Agreement:
+    """Compare a camera image with a picture by the colours of what both show.
+
+    Args:
+        image: at the camera's size.
+        planar: pose of the body with it, m and rad.
+        rgb: the picture, in [0, 1], at that size.
+        taken: pose of the body where the picture may have been taken.
+        rig: the camera and its pose on the body.
+        config: effort of their alignment.
+    """
+    T_body_cam = np.asarray(rig.T_body_cam, np.float64)
+    T_world_image, T_world_picture = (planar_to_matrix(np.asarray(p)) @ T_body_cam for p in (planar, taken))
+    small, small_rig = shrunk(image, rig, config.width)
+    picture, _ = shrunk(without_depth(rgb), rig, config.width)
+    T = jnp.asarray(inverse(T_world_picture) @ T_world_image, jnp.float32)
+    return picture_agreement(small, picture.rgb, T, small_rig.camera, camera_twists(PLANAR, small_rig), config)
+
+
+def planar_of(place: Float[np.ndarray, "2"], heading: float, rig: Rig) -> Float[np.ndarray, "3"]:
+    """Return the pose of the body that looks along ``heading`` (rad) with its camera at ``place`` (m)."""
+    angle = float(wrap_angle(heading))
+    ahead, left = np.asarray(rig.T_body_cam, np.float64)[:2, 3]
+    x, y = place
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([x - c * ahead + s * left, y - s * ahead - c * left, angle])
+
+
+def without_depth(rgb: np.ndarray) -> RGBD:
+    """Return the image of a picture, which has no depth."""
     depth = jnp.zeros(rgb.shape[:2])
     return RGBD(depth, jnp.asarray(rgb, jnp.float32), depth > 0.0, depth > 0.0)
 

@@ -1,0 +1,92 @@
+"""Test the search of a growing map for a picture: it finds the pose, with bounded work, and nothing of nowhere."""
+
+import numpy as np
+import pytest
+
+from tests.agents.test_agents import CAMERA, context, learned, observe
+from vssm_gym.agents.shared.picture_matches import Match, Matches
+from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
+from vssm_gym.maps.columns import BODY_HEIGHTS
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import RGBD
+from vssm_gym.planning.floor_plan import FloorPlan
+
+__all__ = ["learned"]  # the fixture
+
+START, TAKEN = np.array([1.0, 1.0, 1.0]), np.array([4.3, 0.6, 2.5])
+CONFIG = PictureSearchConfig()
+
+
+def searched(m: VoxelMap, picture: np.ndarray, steps: int = 60) -> PictureSearch:
+    """Return a search after some steps in a map that does not change."""
+    search = PictureSearch(CONFIG, context(None, START), picture.astype(np.float32) / 255.0)
+    plan = FloorPlan.of(m, *BODY_HEIGHTS)
+    for _ in range(steps):
+        search.step(m, plan)
+    return search
+
+
+@pytest.fixture(scope="module")
+def found(learned) -> PictureSearch:
+    return searched(learned, observe(TAKEN, TAKEN[:2], learned)["rgb"])
+
+
+def test_the_pose_of_a_picture_is_the_likeliest_match(found):
+    best = found.matches.all[0]
+    assert best.is_near(TAKEN, 0.1, 0.1)
+    assert best.correlation > 0.9
+    assert best.share > 0.9
+    others = [one for one in found.matches.all[1:] if not one.is_near(TAKEN, 0.5, 0.4)]
+    assert others
+    assert max(one.correlation for one in others) < best.correlation - 0.1
+
+
+def test_matches_are_apart_and_the_likeliest_first(found):
+    matches, config = found.matches.all, CONFIG.matches
+    values = [one.log_prob for one in matches]
+    assert values == sorted(values, reverse=True)
+    assert len(values) <= config.kept
+    for i, one in enumerate(matches):
+        assert not any(one.is_near(other.planar, *config.apart) for other in matches[:i])
+
+
+def test_what_the_camera_has_refuted_is_no_match_again():
+    first, near, far = (Match(np.array([x, 0.0, 0.0]), 3.0 - x, 0.9, 0.9) for x in (0.0, 0.4, 2.0))
+    matches = Matches()
+    for one in (far, near, first):
+        matches.add(one)
+    assert matches.all == [first, near, far]
+    assert matches.best(0.8, 0.5) is first
+    assert matches.best(0.8, 0.5, than=near) is None  # nearby
+    assert matches.best(0.8, 0.5, than=far) is first
+    assert matches.best(0.8, 0.5, than=Match(far.planar, 2.5, 0.9, 0.9)) is None  # not likelier by enough
+    matches.refute(first)
+    assert matches.best(0.8, 0.5) is far
+    assert matches.best(0.95, 0.5) is None
+    assert matches.best(0.8, 0.95) is None
+
+
+def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learned, monkeypatch):
+    """After enough steps every free place has its panorama, and a map that stays asks for no work."""
+    search, calls = searched(learned, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), 1), []
+    assert len(search._places) == CONFIG.panoramas
+    assert len(found._places) > 10 * CONFIG.panoramas
+    monkeypatch.setattr("vssm_gym.agents.shared.picture_search.Panoramas.of", lambda *a: calls.append(a))
+    monkeypatch.setattr("vssm_gym.agents.shared.picture_search.align_views", lambda *a: calls.append(a))
+    for _ in range(CONFIG.every):
+        found.step(learned, FloorPlan.of(learned, *BODY_HEIGHTS))
+    assert not calls
+
+
+def test_the_camera_agrees_with_the_picture_at_its_place_alone(found, learned):
+    image = lambda planar: RGBD.from_camera(*(observe(planar, TAKEN[:2], learned)[key] for key in ("rgb", "depth")))
+    near, elsewhere = TAKEN + np.array([0.1, -0.1, 0.1]), np.array([1.0, 1.5, 2.5])
+    correlation, share = found.agreement(image(near), near, TAKEN)
+    assert correlation > 0.9
+    assert share > 0.5
+    assert found.agreement(image(elsewhere), TAKEN, TAKEN)[0] < 0.6
+
+
+def test_nothing_matches_noise(learned):
+    noise = np.random.default_rng(0).integers(0, 256, (CAMERA.height, CAMERA.width, 3))
+    assert max((one.correlation for one in searched(learned, noise, 20).matches.all), default=0.0) < 0.4
