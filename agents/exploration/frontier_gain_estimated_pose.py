@@ -5,8 +5,8 @@ and then sees RGB-D images only. It is the baseline of ``mi_explorer_estimated_p
 that a view gives about the pose. Described in ``docs/agents/exploration.md``.
 """
 
-from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.explorer import Explorer
+from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.maps.voxel_map import VoxelMap
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.explorer import Explorer
+from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.strategy import Choice, Situation, around
 from vssm_gym.maps.voxel_map import VoxelMap
 

@@ -2,8 +2,8 @@
 
 ``slam_image`` reads RGB-D, its own commands and the goal's image. It drives as ``slam_nav`` in the map that PRISM
 builds, from frontier to frontier, and searches that map for the image at every step
-(:class:`~vssm_gym.agents.shared.picture_search.PictureSearch`). Where a pose explains the image it drives there, turns
-to where the image should have looked, and compares the image with the camera's. Described in
+(:class:`~vssm_gym.agents.shared.searching.picture_search.PictureSearch`). Where a pose explains the image it drives
+there, turns to where the image should have looked, and compares the image with the camera's. Described in
 ``docs/agents/navigation.md``.
 """
 
@@ -15,17 +15,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
-from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.navigation.slam_nav import CONFIG as SLAM_NAV
-from vssm_gym.agents.shared.frontier_goals import FrontierGoals
+from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.manoeuvres import Turn
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
-from vssm_gym.agents.shared.picture_matches import Match
-from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
+from vssm_gym.agents.shared.searching.frontier_goals import FrontierGoals
+from vssm_gym.agents.shared.searching.picture_matches import Match
+from vssm_gym.agents.shared.searching.picture_search import PictureSearch, PictureSearchConfig
+from vssm_gym.agents.shared.searching.unseen_views import UnseenViews, UnseenViewsConfig
 from vssm_gym.agents.shared.surroundings import GrowingMap
-from vssm_gym.agents.shared.unseen_views import UnseenViews, UnseenViewsConfig
 from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
@@ -49,10 +49,11 @@ class ImageGoalConfig:
     clear: tuple[float, float] = (3.5, 0.65)
     doubtful: tuple[float, float] = (2.0, 0.5)
     share: float = 0.4  # of the image that the map shows
-    most_cost: float = 1.0  # of image and camera at the place: mean residual of the colours in standard deviations
+    most_cost: float = 0.9  # of image and camera at the place: mean residual of the colours in standard deviations
     same_view: float = 0.75  # correlation of image and camera at the place, at least
     same_share: float = 0.2  # of the camera's image that the goal's image shows
     moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
+    corrections: int = 3  # at most, of a match
     most_turns: int = 40  # steps of turning at a place: a noisy robot may not get nearer
 
 
@@ -113,6 +114,7 @@ class SlamImageAgent:
         ended = bool(decision.action[3] > 0.5)
         c = self._config
         if (best := self._search.matches.best(*c.clear, c.share, than=self._match)) is not None:
+            self._corrections = 0
             decision = self._drive_to(best, decision)
         elif self._match is not None:
             decision = self._at_match(decision, observation) if ended else decision
@@ -134,11 +136,10 @@ class SlamImageAgent:
             agreed = self._search.agreement(image, self._navigator.estimate.planar, match.planar)
             if again and self._agrees(agreed):
                 moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
-                if moved <= c.moved or self._corrected:
+                if moved <= c.moved or self._corrections >= c.corrections:
                     return decision
-                decision = self._drive_to(again[0], decision)
-                self._corrected = True
-                return decision
+                self._corrections += 1
+                return self._drive_to(again[0], decision)
         self._search.matches.refute(match)
         self._match = None
         return self._explore(decision)
@@ -170,13 +171,14 @@ class SlamImageAgent:
         if place is not None:
             return self._goto(place, decision)
         if (best := self._search.matches.best(*self._config.doubtful, self._config.share)) is not None:
+            self._corrections = 0
             return self._drive_to(best, decision)
         return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
     # --- the next drive
 
     def _drive_to(self, match: Match, decision: Decision) -> Decision:
-        self._match, self._corrected = match, False
+        self._match = match
         self._frontiers.leave()
         self._views.chosen = None
         return self._goto(match.planar[:2], decision)

@@ -12,13 +12,13 @@ import pytest
 from tests.agents.test_explorers import EXPLORERS
 from tests.planning.test_frontier import drawn
 from vssm_gym.agents.exploration import mi_explorer
-from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.exploration.frontier_gain_scan import FrontierGainScan, FrontierGainScanConfig
 from vssm_gym.agents.exploration.frontier_nearest import NearestFrontier
 from vssm_gym.agents.exploration.mi_explorer import MiExplorerConfig, MutualInformation
 from vssm_gym.agents.exploration.random_viewpoint import RandomViewpoint, RandomViewpointConfig
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.agents.shared.explorer import ExplorationConfig
+from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.own_map import OwnMapConfig
 from vssm_gym.agents.shared.strategy import Choice, ExplorationStrategy, Situation
 from vssm_gym.envs.robots import HolonomicRobot

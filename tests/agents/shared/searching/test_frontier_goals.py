@@ -7,9 +7,9 @@ import pytest
 
 from tests.agents.test_agents import context
 from tests.helpers.planning_worlds import twin_rooms
-from vssm_gym.agents.exploration.frontier_gain import FrontierGain, FrontierGainConfig
-from vssm_gym.agents.shared.frontier_goals import FrontierGoals
+from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.localization import Localization
+from vssm_gym.agents.shared.searching.frontier_goals import FrontierGoals
 from vssm_gym.inference.status import Status
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
@@ -62,7 +62,7 @@ def test_what_stays_unknown_is_dismissed(goals, m, reached):
 
 @pytest.mark.parametrize("facing", [0.0, np.pi])
 def test_a_robot_prefers_what_it_looks_at(goals, m, facing):
-    """Of two frontiers alike the robot drives to the one ahead."""
+    """The robot drives to the one ahead of two frontiers that are alike."""
     place = goals.choose(m, room("east", "west"), replace(HERE, planar=np.array([2.0, 2.0, facing])))
     assert place is not None
     assert np.sign(place[0] - 2.0) == np.sign(np.cos(facing))

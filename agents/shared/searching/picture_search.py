@@ -20,7 +20,7 @@ from scipy import ndimage
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.map_index import SPACING, rig_of
-from vssm_gym.agents.shared.picture_matches import Match, Matches, MatchesConfig
+from vssm_gym.agents.shared.searching.picture_matches import Match, Matches, MatchesConfig
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
 from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement

@@ -1,7 +1,7 @@
 """Choose places from which the map does not show what a picture could show, once no frontier is left.
 
 A floor plan without frontiers says that the floor is known, and nothing of walls that no image has shown. The
-panoramas of a :class:`~vssm_gym.agents.shared.picture_search.PictureSearch` say which views are not in the map:
+panoramas of :class:`~vssm_gym.agents.shared.searching.picture_search.PictureSearch` say which views are not in the map:
 
     place = argmax_p V(p) exp(-lambda (d(p) + c |turn|))      V: headings at p whose view is unseen
 """
@@ -63,7 +63,7 @@ class UnseenViews:
         if not value[best] > 0.0:
             return None
         around = np.abs(wrap_angle(headings[:, None] - headings[None, :])) < c.window
-        heading = headings[int(np.argmax(around @ unseen[best]))]
+        heading = headings[int(np.argmax(around.astype(int) @ unseen[best]))]
         self.chosen = np.array([*places[best], heading])
         return places[best]
 

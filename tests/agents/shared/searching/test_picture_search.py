@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.agents.test_agents import CAMERA, context, learned, observe
-from vssm_gym.agents.shared.picture_matches import Match, Matches
-from vssm_gym.agents.shared.picture_search import PictureSearch, PictureSearchConfig
+from tests.agents.test_agents import CAMERA, FLOOR, WALL, context, learned, observe
+from tests.helpers.planning_worlds import voxel_map
+from vssm_gym.agents.shared.searching.picture_matches import Match, Matches
+from vssm_gym.agents.shared.searching.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
@@ -56,23 +57,24 @@ def test_what_the_camera_has_refuted_is_no_match_again():
     for one in (far, near, first):
         matches.add(one)
     assert matches.all == [first, near, far]
-    assert matches.best(0.8, 0.5) is first
-    assert matches.best(0.8, 0.5, than=near) is None  # nearby
-    assert matches.best(0.8, 0.5, than=far) is first
-    assert matches.best(0.8, 0.5, than=Match(far.planar, 2.5, 0.9, 0.9)) is None  # not likelier by enough
+    assert matches.best(0.5, 0.8, 0.5) is first
+    assert matches.best(0.5, 0.8, 0.5, than=near) is None  # nearby
+    assert matches.best(0.5, 0.8, 0.5, than=far) is first
+    assert matches.best(0.5, 0.8, 0.5, than=Match(far.planar, 2.5, 0.9, 0.9)) is None  # not likelier by enough
     matches.refute(first)
-    assert matches.best(0.8, 0.5) is far
-    assert matches.best(0.95, 0.5) is None
-    assert matches.best(0.8, 0.95) is None
+    assert matches.best(0.5, 0.8, 0.5) is far
+    assert matches.best(1.5, 0.8, 0.5) is None
+    assert matches.best(0.5, 0.95, 0.5) is None
+    assert matches.best(0.5, 0.8, 0.95) is None
 
 
 def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learned, monkeypatch):
     """After enough steps every free place has its panorama, and a map that stays asks for no work."""
     search, calls = searched(learned, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), 1), []
-    assert len(search._places) == CONFIG.panoramas
-    assert len(found._places) > 10 * CONFIG.panoramas
-    monkeypatch.setattr("vssm_gym.agents.shared.picture_search.Panoramas.of", lambda *a: calls.append(a))
-    monkeypatch.setattr("vssm_gym.agents.shared.picture_search.align_views", lambda *a: calls.append(a))
+    assert len(search.places) == CONFIG.panoramas
+    assert len(found.places) > 10 * CONFIG.panoramas
+    monkeypatch.setattr("vssm_gym.agents.shared.searching.picture_search.Panoramas.of", lambda *a: calls.append(a))
+    monkeypatch.setattr("vssm_gym.agents.shared.searching.picture_search.align_views", lambda *a: calls.append(a))
     for _ in range(CONFIG.every):
         found.step(learned, FloorPlan.of(learned, *BODY_HEIGHTS))
     assert not calls
@@ -81,12 +83,24 @@ def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learn
 def test_the_camera_agrees_with_the_picture_at_its_place_alone(found, learned):
     image = lambda planar: RGBD.from_camera(*(observe(planar, TAKEN[:2], learned)[key] for key in ("rgb", "depth")))
     near, elsewhere = TAKEN + np.array([0.1, -0.1, 0.1]), np.array([1.0, 1.5, 2.5])
-    correlation, share = found.agreement(image(near), near, TAKEN)
-    assert correlation > 0.9
-    assert share > 0.5
-    assert found.agreement(image(elsewhere), TAKEN, TAKEN)[0] < 0.6
+    agreed = found.agreement(image(near), near, TAKEN)
+    assert float(agreed.correlation) > 0.8
+    assert float(agreed.share) > 0.5
+    other = found.agreement(image(elsewhere), TAKEN, TAKEN)
+    assert float(other.correlation) < 0.6
+    assert float(other.cost) > 2.0 * float(agreed.cost)
 
 
 def test_nothing_matches_noise(learned):
     noise = np.random.default_rng(0).integers(0, 256, (CAMERA.height, CAMERA.width, 3))
     assert max((one.correlation for one in searched(learned, noise, 20).matches.all), default=0.0) < 0.4
+
+
+def test_shares_tell_what_of_a_view_is_in_the_map():
+    """In a map of which one half was never observed, views into that half are unseen."""
+    half = voxel_map(FLOOR, [(WALL, 0.0, 1.0)], observed=lambda x, y, z: x < 2.3)
+    search = searched(half, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8))
+    k = int(np.argmin(np.hypot(*(search.places - [1.8, 1.5]).T)))
+    columns = search.shares.shape[1]
+    assert search.shares[k, columns // 2] > 0.9  # west
+    assert search.shares[k, columns // 2] > search.shares[k, 0] + 0.1

@@ -1,0 +1,54 @@
+"""Test the choice of views that the map does not show: they come one after the other, and end."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.agents.shared.searching.test_frontier_goals import room
+from vssm_gym.agents.shared.searching.unseen_views import UnseenViews, UnseenViewsConfig
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.planning.exploration.candidates import Roadmap
+
+CONFIG = UnseenViewsConfig()
+HERE, COLUMNS = np.array([2.0, 2.0, 0.0]), 120
+PLACES = np.array([[2.0, 2.0], [1.0, 1.0], [3.0, 3.0]])
+ROADMAP = Roadmap.of(room(), HERE[:2], 0.1)
+
+
+def shown(unseen: dict[int, tuple[float, float]]) -> np.ndarray:
+    """Return shares: 1, but for a range of headings (rad) at some places."""
+    shares, headings = np.ones((len(PLACES), COLUMNS)), 2.0 * math.pi * np.arange(COLUMNS) / COLUMNS
+    for place, (first, last) in unseen.items():
+        shares[place, (headings >= first) & (headings <= last)] = 0.2
+    return shares
+
+
+def test_the_robot_looks_into_the_middle_of_what_is_unseen():
+    views = UnseenViews(CONFIG)
+    place = views.choose(PLACES, shown({2: (1.0, 2.0)}), ROADMAP, HERE)
+    assert place is not None
+    np.testing.assert_allclose(place, PLACES[2])
+    assert views.chosen is not None
+    assert abs(float(wrap_angle(views.chosen[2] - 1.5))) < CONFIG.window
+
+
+def test_a_view_that_was_looked_at_is_not_chosen_again():
+    views, shares, seen = UnseenViews(CONFIG), shown({0: (1.0, 2.0), 1: (3.0, 4.0)}), []
+    while (place := views.choose(PLACES, shares, ROADMAP, HERE)) is not None:
+        seen.append(place.tolist())
+        views.close()
+        assert len(seen) < 10
+    assert seen == [[2.0, 2.0], [1.0, 1.0]]  # the nearer one first
+
+
+@pytest.mark.parametrize("unseen", [{}, {0: (1.0, 1.2)}])
+def test_a_map_that_shows_all_but_gaps_has_no_unseen_view(unseen):
+    assert UnseenViews(CONFIG).choose(PLACES, shown(unseen), ROADMAP, HERE) is None
+
+
+def test_places_out_of_reach_are_not_chosen():
+    cut = replace(ROADMAP, distance=np.full_like(ROADMAP.distance, np.inf))
+    assert UnseenViews(CONFIG).choose(PLACES, shown({0: (1.0, 2.0)}), cut, HERE) is None
+    assert UnseenViews(CONFIG).choose(np.empty((0, 2)), np.empty((0, COLUMNS)), ROADMAP, HERE) is None
