@@ -173,6 +173,8 @@ class SlamImageAgent:
         if (best := self._search.matches.best(*self._config.doubtful, self._config.share)) is not None:
             self._corrections = 0
             return self._drive_to(best, decision)
+        if not search.is_done:
+            return self._instead(decision, np.zeros(3), "compares what it has seen")
         return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
 
     # --- the next drive

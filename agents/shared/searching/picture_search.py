@@ -46,11 +46,11 @@ class PictureSearchConfig:
     extent: float = 36.0  # along x and y, around the start
     sight: float = 3.0  # half the side of the box around a place in which what becomes known calls for a new panorama
     panoramas: int = 8  # rendered in a step
-    least: int = 1000  # cells that have become known, for a new panorama: a block of 0.7 m
+    least: int = 500  # cells that have become known, for a new panorama: a block of 0.6 m
     every: int = 4  # steps between two alignments
     candidates: int = 3  # poses that are aligned at once
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
-    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=10))
+    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=32))
     matches: MatchesConfig = field(default_factory=MatchesConfig)
     colour_view: ColourViewConfig = field(default_factory=ColourViewConfig)
 
@@ -82,7 +82,7 @@ class PictureSearch:
         self.shares = np.empty((0, config.cylinder.columns))  # of the view at each heading there that the map shows
         self._scores = np.empty((0, config.cylinder.columns), np.float32)
         self._aligned: dict[tuple[int, int], float] = {}  # score of each place and heading when it was aligned last
-        self._steps = 0
+        self._steps = self._idle = 0
         self.matches = Matches(config.matches)
 
     def step(self, m: VoxelMap, plan: FloorPlan) -> None:
@@ -94,10 +94,17 @@ class PictureSearch:
         """
         c = self._config
         self._steps += 1
-        self._look(m, plan)
+        rendered = self._look(m, plan)
+        self._idle = 0 if rendered else self._idle + 1
         if self._steps % c.every == 0 and len(self.places) and (poses := self._candidates()):
+            self._idle = 0
             for match in self.align(m, poses):
                 self.matches.add(match)
+
+    @property
+    def is_done(self) -> bool:
+        """Return True where nothing in the map is left to compare with the picture."""
+        return self._idle >= self._config.every
 
     def align(self, m: VoxelMap, poses: list[np.ndarray]) -> list[Match]:
         """Align the picture from poses ``(3,)`` of the body, at most ``candidates``; the likeliest first."""
@@ -139,15 +146,15 @@ class PictureSearch:
         self._aligned.update((at, float(self._scores[at])) for at in due)
         return [planar_of(self.places[place], heading * c.cylinder.step, self._rig) for place, heading in due]
 
-    def _look(self, m: VoxelMap, plan: FloorPlan) -> None:
-        """Render the panoramas that are due most, and compare them with the picture."""
+    def _look(self, m: VoxelMap, plan: FloorPlan) -> bool:
+        """Render the panoramas that are due most, and compare them with the picture; return False where none is."""
         c = self._config
         known = self._known_around(m)
         due = np.where(self._is_free(plan), known - self._known, -np.inf)
         chosen = np.argsort(-due, axis=None, kind="stable")[: c.panoramas]
         chosen = chosen[due.reshape(-1)[chosen] >= c.least]
         if not len(chosen):
-            return
+            return False
         at = np.unravel_index(chosen, due.shape)
         panoramas = Panoramas.of(m, self._cylinder, self._grid[at], MAX_DEPTH, c.panoramas)
         scores = compare(self._ring, panoramas, self._cylinder, c.comparison)
@@ -158,6 +165,7 @@ class PictureSearch:
         self._scores = np.concatenate([self._scores, scores[new]])
         self._scores[self._row[at]], self.shares[self._row[at]] = scores, self._shown(panoramas)
         self._known[at] = known[at]
+        return True
 
     def _shown(self, panoramas: Panoramas) -> np.ndarray:
         """Return the share of the view at each place and heading that the map shows, ``(n, columns)``."""
