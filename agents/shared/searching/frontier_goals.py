@@ -18,7 +18,7 @@ from vssm_gym.planning.exploration.candidates import Roadmap
 from vssm_gym.planning.exploration.frontier import frontier_cells
 from vssm_gym.planning.floor_plan import FloorPlan
 
-SEEN_SHARE = 0.8  # fraction of a frontier's cells that are known, from which on it has been seen
+SHOWN_SHARE = 0.8  # fraction of a frontier's cells that are known, from which on it has been seen
 
 
 class FrontierGoals:
@@ -61,7 +61,7 @@ class FrontierGoals:
     def is_seen(self, plan: FloorPlan) -> bool:
         """Return True where most of the chosen frontier is known."""
         target = None if self._choice is None else self._choice.target
-        return target is not None and len(self._left(plan)) <= (1.0 - SEEN_SHARE) * len(target)
+        return target is not None and len(self._left(plan)) <= (1.0 - SHOWN_SHARE) * len(target)
 
     def heading(self, planar: np.ndarray) -> float | None:
         """Return the heading (rad) from ``planar`` towards the chosen frontier; None without one."""
