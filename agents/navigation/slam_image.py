@@ -44,9 +44,9 @@ class ImageGoalConfig:
     frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8, least=1.0))
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
     views: UnseenViewsConfig = field(default_factory=UnseenViewsConfig)
-    # Likelihood (nats a pixel) and correlation of image and map for which exploration is interrupted; and where nothing
-    # is left to explore.
-    clear: tuple[float, float] = (3.5, 0.65)
+    # Likelihood (nats a pixel that the map shows) and correlation of image and map for which exploration is interrupted;
+    # and where nothing is left to explore.
+    clear: tuple[float, float] = (3.3, 0.65)
     doubtful: tuple[float, float] = (2.0, 0.5)
     share: float = 0.4  # of the image that the map shows
     most_cost: float = 0.9  # of image and camera at the place: mean residual of the colours in standard deviations

@@ -63,7 +63,8 @@ def test_what_the_camera_has_refuted_is_no_match_again():
     assert matches.best(0.5, 0.8, 0.5, than=Match(far.planar, 2.5, 0.9, 0.9)) is None  # not likelier by enough
     matches.refute(first)
     assert matches.best(0.5, 0.8, 0.5) is far
-    assert matches.best(1.5, 0.8, 0.5) is None
+    assert matches.best(1.0, 0.8, 0.5) is far  # of 1 nat a pixel, of which the map shows 0.9
+    assert matches.best(1.2, 0.8, 0.5) is None
     assert matches.best(0.5, 0.95, 0.5) is None
     assert matches.best(0.5, 0.8, 0.95) is None
 
