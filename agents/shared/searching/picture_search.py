@@ -51,8 +51,8 @@ class PictureSearchConfig:
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
     comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=32))
     matches: MatchesConfig = field(default_factory=MatchesConfig)
-    # Of a camera image at the picture's place: mean residual of the colours in standard deviations, at most; correlation
-    # and share of what the picture shows of it, at least.
+    # Of a camera image at the picture's place: mean residual of the colours in standard deviations, at most;
+    # correlation and share of what the picture shows of it, at least.
     most_cost: float = 0.9
     least_correlation: float = 0.75
     least_share: float = 0.2
