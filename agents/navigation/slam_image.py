@@ -26,7 +26,6 @@ from vssm_gym.agents.shared.searching.picture_matches import Match
 from vssm_gym.agents.shared.searching.picture_search import PictureSearch, PictureSearchConfig
 from vssm_gym.agents.shared.searching.unseen_views import UnseenViews, UnseenViewsConfig
 from vssm_gym.agents.shared.surroundings import GrowingMap
-from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.planning.floor_plan import FloorPlan
@@ -44,14 +43,11 @@ class ImageGoalConfig:
     frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8, least=1.0))
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
     views: UnseenViewsConfig = field(default_factory=UnseenViewsConfig)
-    # Likelihood (nats a pixel) and correlation of image and map for which exploration is interrupted; and where nothing
-    # is left to explore.
-    clear: tuple[float, float] = (3.5, 0.65)
+    # Likelihood (nats a pixel that the map shows) and correlation of image and map, for which exploration is
+    # interrupted; and the same where nothing is left to explore.
+    clear: tuple[float, float] = (3.5, 0.6)
     doubtful: tuple[float, float] = (2.0, 0.5)
     share: float = 0.4  # of the image that the map shows
-    most_cost: float = 0.9  # of image and camera at the place: mean residual of the colours in standard deviations
-    same_view: float = 0.75  # correlation of image and camera at the place, at least
-    same_share: float = 0.2  # of the camera's image that the goal's image shows
     moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
     corrections: int = 3  # at most, of a match
     most_turns: int = 40  # steps of turning at a place: a noisy robot may not get nearer
@@ -90,7 +86,7 @@ class SlamImageAgent:
         start = np.asarray(context.start_pose, np.float64)
         self._search.step(self.map, self._surroundings.floor_plan())
         self._search.align(self.map, [start])
-        self._search.agreement(RGBD.from_camera(observation["rgb"], observation["depth"]), start, start)
+        self._search.agrees(RGBD.from_camera(observation["rgb"], observation["depth"]), start, start)
         self._look_for(observation["goal_rgb"])
 
     def _look_for(self, goal_rgb: np.ndarray) -> None:
@@ -133,8 +129,7 @@ class SlamImageAgent:
                 return self._instead(decision, command, "turns to where the image looked")
             again = self._search.align(self.map, [match.planar])
             image = RGBD.from_camera(observation["rgb"], observation["depth"])
-            agreed = self._search.agreement(image, self._navigator.estimate.planar, match.planar)
-            if again and self._agrees(agreed):
+            if again and self._search.agrees(image, self._navigator.estimate.planar, match.planar):
                 moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
                 if moved <= c.moved or self._corrections >= c.corrections:
                     return decision
@@ -143,12 +138,6 @@ class SlamImageAgent:
         self._search.matches.refute(match)
         self._match = None
         return self._explore(decision)
-
-    def _agrees(self, agreed: Agreement) -> bool:
-        """Return True where the camera sees what the image shows."""
-        c = self._config
-        fits = float(agreed.cost) <= c.most_cost and float(agreed.correlation) >= c.same_view
-        return fits and float(agreed.share) >= c.same_share
 
     def _at_viewpoint(self, decision: Decision, plan: FloorPlan, ended: bool) -> Decision:
         """Look at what the robot has driven to see, and choose the next place."""

@@ -70,7 +70,7 @@ def test_places_out_of_reach_are_given_up_for_the_next_one():
 )
 def test_the_place_of_an_image_is_found_in_an_apartment_that_nobody_has_mapped(taken, learned):
     agent = SlamImageAgent()
-    decisions, planar = drive(learned, np.array([1.0, 1.0, 1.0]), np.array(taken), agent, steps=300)
+    decisions, planar = drive(learned, np.array([1.0, 1.0, 1.0]), np.array(taken), agent, steps=500)
     assert decisions[-1].status.startswith("arrived")
     assert not decisions[-1].gives_up
     assert np.hypot(*(planar[:2] - np.array(taken)[:2])) <= NEAR
@@ -110,7 +110,7 @@ def test_the_next_image_is_looked_for_from_where_the_robot_stands(learned):
     places = [np.array([0.8, 2.2, -0.8]), np.array([4.3, 0.6, 2.5])]
     agent.reset(context(None, planar), seen(planar, places[0], learned), 0)
     for taken in places:
-        for _ in range(300):
+        for _ in range(500):
             decision = agent.act(seen(planar, taken, learned))
             if decision.action[3] > 0.5:
                 break

@@ -62,7 +62,7 @@ class Matches:
         """Return the likeliest match that is not refuted; None where there is none.
 
         Args:
-            log_prob: of the match, at least.
+            log_prob: at least, mean of a pixel of what the map shows: others have none.
             correlation: of the match, at least.
             share: of the match, at least.
             than: a match at another place, which it must be better than.
@@ -70,7 +70,7 @@ class Matches:
         c = self._config
         for one in self.all:
             refuted = any(one.is_near(planar, *c.refuted) for planar in self._refuted)
-            fits = one.log_prob >= log_prob and one.correlation >= correlation and one.share >= share
+            fits = one.log_prob >= log_prob * one.share and one.correlation >= correlation and one.share >= share
             if fits and not refuted:
                 if than is None:
                     return one

@@ -22,7 +22,6 @@ from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.shared.map_index import SPACING, rig_of
 from vssm_gym.agents.shared.searching.picture_matches import Match, Matches, MatchesConfig
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
-from vssm_gym.inference.alignment.agreement import Agreement
 from vssm_gym.inference.relocalisation.colour_view import ColourViewConfig, align_views, view_agreement
 from vssm_gym.inference.relocalisation.cylinder import Cylinder, CylinderConfig
 from vssm_gym.inference.relocalisation.likelihood import ComparisonConfig, compare, peaks
@@ -52,6 +51,11 @@ class PictureSearchConfig:
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
     comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=32))
     matches: MatchesConfig = field(default_factory=MatchesConfig)
+    # Of a camera image at the picture's place: mean residual of the colours in standard deviations, at most;
+    # correlation and share of what the picture shows of it, at least.
+    most_cost: float = 0.9
+    least_correlation: float = 0.75
+    least_share: float = 0.2
     colour_view: ColourViewConfig = field(default_factory=ColourViewConfig)
 
 
@@ -128,15 +132,18 @@ class PictureSearch:
         ]
         return sorted((one for one in found if np.isfinite(one.planar).all()), key=lambda one: -one.log_prob)
 
-    def agreement(self, image: RGBD, planar: np.ndarray, taken: np.ndarray) -> Agreement:
-        """Compare a camera image with the picture, by the colours of what both show.
+    def agrees(self, image: RGBD, planar: np.ndarray, taken: np.ndarray) -> bool:
+        """Return True where a camera image agrees with the picture, by the colours of what both show.
 
         Args:
             image: at the camera's size.
             planar: ``(3,)`` of the body with it, m and rad.
             taken: the same where the picture may have been taken.
         """
-        return compared(image, planar, self._rgb, taken, self._rig, self._config.colour_view)
+        c = self._config
+        found = compared(image, planar, self._rgb, taken, self._rig, c.colour_view)
+        fits = float(found.cost) <= c.most_cost and float(found.correlation) >= c.least_correlation
+        return fits and float(found.share) >= c.least_share
 
     def _candidates(self) -> list[np.ndarray]:
         """Return the poses of the highest scores that are apart and have not been aligned with that score."""
