@@ -10,7 +10,7 @@ from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.inference.filter import Rig
-from vssm_gym.inference.tracking import visual_turn
+from vssm_gym.inference.tracking import standing_views, visual_turn
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition import GaussianBelief, planar_belief
 
@@ -18,6 +18,8 @@ CAMERA = Camera.from_hfov(160, 120, 0.5 * np.pi)
 ROBOT = HolonomicRobot()
 RIG = Rig.of(CAMERA, ROBOT.T_body_cam)
 COMMANDED, NOISE = 0.2, 0.105  # rad: a full turn at noise "mid"
+KNOWN = 0.01  # rad, of the headings of the kept views
+UNSEEN = 2.0 * NOISE  # rad, after four turns that no image showed
 PLACES = [(2.0, 1.0), (4.0, 3.0), (6.3, 5.0), (3.2, 5.1), (1.2, 4.2)]  # m, in reed
 
 
@@ -100,3 +102,59 @@ def test_a_robot_that_drove_is_not_corrected(camera):
     before, predicted = beliefs(planar, driven=0.1)
     images = grey(camera, planar), grey(camera, planar + np.array([0, 0, COMMANDED]))
     assert not visual_turn.turned(predicted, before, *images, RIG)[1]
+
+
+def turned_belief(planar: np.ndarray, std: float) -> GaussianBelief:
+    """Return the belief of a robot that knows where it stands, and its heading to ``std`` rad."""
+    return planar_belief(jnp.asarray(planar, jnp.float32), jnp.diag(jnp.array([1e-6, 1e-6, std**2])))
+
+
+def looked_around(camera, place, headings) -> standing_views.StandingViews:
+    """Return the views of a robot that has seen its turns at a place."""
+    poses = [np.array([*place, heading]) for heading in headings]
+    views = standing_views.begin(turned_belief(poses[0], KNOWN), grey(camera, poses[0]))
+    for pose in poses[1:]:
+        views = standing_views.remember(views, turned_belief(pose, KNOWN), grey(camera, pose))
+    return views
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_heading_is_found_again(camera, place):
+    views = looked_around(camera, place, np.arange(-3.0, 3.1, 0.2))
+    rng, told, errors = np.random.default_rng(0), [], []
+    for heading in rng.uniform(-3.0, 3.0, 6):
+        believed = heading + float(np.clip(rng.normal(0.0, UNSEEN), -2 * UNSEEN, 2 * UNSEEN))
+        image = grey(camera, np.array([*place, heading]), gain=rng.uniform(0.85, 1.1))
+        found, sees = standing_views.recognised(turned_belief(np.array([*place, believed]), UNSEEN), views, image, RIG)
+        told.append(bool(sees))
+        if sees:
+            errors.append(float(found.mean[2]) - heading)
+            assert float(found.covariance[2, 2]) == pytest.approx(KNOWN**2 + visual_turn.STD**2, rel=0.05)
+    assert np.mean(told) >= 0.5
+    wrapped = (np.array(errors) + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.abs(wrapped).max() < 4.0 * visual_turn.STD
+
+
+def test_what_was_seen_from_another_place_tells_nothing(camera):
+    views = looked_around(camera, PLACES[0], np.arange(-3.0, 3.1, 0.2))
+    for other in PLACES[1:]:
+        image = grey(camera, np.array([*other, 0.3]))
+        told = standing_views.recognised(turned_belief(np.array([*PLACES[0], 0.3]), UNSEEN), views, image, RIG)[1]
+        assert not told
+
+
+def test_views_are_kept_apart_and_forgotten_where_the_robot_has_driven(camera):
+    x, y = PLACES[0]
+    views = looked_around(camera, (x, y), [0.0, 0.05, 0.2, 0.25, 0.4])
+    assert int(views.count) == 3
+    np.testing.assert_allclose(views.mean[:3, 2], [0.0, 0.2, 0.4], atol=1e-6)
+    there = np.array([x + 0.16, y, 0.4])
+    views = standing_views.remember(views, turned_belief(there, KNOWN), grey(camera, there))
+    assert int(views.count) == 1
+    np.testing.assert_allclose(views.mean[0], there, atol=1e-6)
+
+
+def test_the_oldest_view_is_replaced(camera):
+    views = looked_around(camera, PLACES[0], np.linspace(-np.pi, np.pi, 36, endpoint=False))
+    assert int(views.count) == 36
+    np.testing.assert_allclose(views.mean[3, 2], -np.pi + 35 * 2 * np.pi / 36, atol=1e-5)

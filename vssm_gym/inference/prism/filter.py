@@ -36,10 +36,11 @@ from vssm_gym.inference.mapping import map_update, rolling_window
 from vssm_gym.inference.prism import drift
 from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig
 from vssm_gym.inference.status import Status
-from vssm_gym.inference.tracking import keyframes, visual_turn
+from vssm_gym.inference.tracking import keyframes, standing_views, visual_turn
 from vssm_gym.inference.tracking.camera_filter import Past, TrackingInput, begin, camera_pose, expected_pose
 from vssm_gym.inference.tracking.keyframes import Keyframes
 from vssm_gym.inference.tracking.localise import Located, Relocalisation, checked, localise, readable, seconds, shrunk
+from vssm_gym.inference.tracking.standing_views import StandingViews
 from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
@@ -60,6 +61,7 @@ class PrismState(eqx.Module):
     start: Float[Array, "3"]  # m, of the body at the first image
     keyframes: Keyframes | None  # None: no recovery
     grey: Float[Array, "height width"]  # small luminance of the last image, accepted or not
+    views: StandingViews | None  # seen from here; None: the body does more than to drive and turn by commands
     lost: bool  # the last image was not accepted
     known: bool  # the pose is: the last image was accepted, or the colours have shown every turn since one was
     key: PRNGKeyArray
@@ -118,7 +120,8 @@ class Prism:
         )
         start = past.belief.manifold.pose(past.belief.mean)[:3, 3]
         grey = visual_turn.small_grey(image, self.rig.camera)
-        return PrismState(m, past, reference, start, kept, grey, False, True, key, prior.measurement_noise)
+        views = standing_views.begin(past.belief, grey) if self._turns else None
+        return PrismState(m, past, reference, start, kept, grey, views, False, True, key, prior.measurement_noise)
 
     def step(
         self, state: PrismState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -162,15 +165,22 @@ class Prism:
         past, status = located.past, located.status
         grey = visual_turn.small_grey(image, self.rig.camera)
         if not status.accepted:
-            if self.transition.commanded and np.count_nonzero(self.transition.manifold.turns) == 1:
+            if state.views is not None:
                 belief, told = visual_turn.turned(past.belief, state.past.belief, state.grey, grey, self.rig)
+                # From a pose that was not believed, no turn leads to one that is, but for what was seen here before.
+                if not (told and state.known):
+                    belief, told = standing_views.recognised(belief, state.views, grey, self.rig)
                 past = replace(past, belief=belief)
-                # From a pose that was not believed, no turn leads to one that is.
-                if told and state.known and self._is_known(past):
+                if told and self._is_known(past):
                     status = Status.TURNED
+            known = status.accepted
             if not (alone and state.known and self._is_new(located, past, small)):
-                known, quality = status.accepted, None if status.accepted else located.fit_quality
-                lost = eqx.tree_at(lambda s: (s.past, s.grey, s.lost, s.known), state, (past, grey, True, known))
+                quality, views = None if known else located.fit_quality, state.views
+                if known:
+                    views = standing_views.remember(views, past.belief, grey)
+                changes = (past, grey, views, True, known)
+                changed = lambda s: (s.past, s.grey, s.views, s.lost, s.known)
+                lost = eqx.tree_at(changed, state, changes, is_leaf=lambda leaf: leaf is None)
                 in_world = _in_world(past, state.start, self.transition, config)
                 return lost, FilterInfo(status, in_world, quality)
             past, status = _taken(past, small, view), Status.OK
@@ -198,7 +208,9 @@ class Prism:
         in_world = _in_world(past, state.start, self.transition, config)
         fit_quality = located.fit_quality if located.status.accepted else None  # nothing was aligned
         info = FilterInfo(status, in_world, fit_quality, dropped)
-        return PrismState(m, past, reference, state.start, kept, grey, False, True, key, state.measurement_noise), info
+        views = None if state.views is None else standing_views.remember(state.views, past.belief, grey)
+        noise = state.measurement_noise
+        return PrismState(m, past, reference, state.start, kept, grey, views, False, True, key, noise), info
 
     def posterior(self, state: PrismState) -> Posterior:
         """Return ``q_t(z_t) q_t(M)``.
@@ -215,6 +227,11 @@ class Prism:
             reach = self.config.update.max_depth
             errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, past.considered.drift, self.rig.camera, reach)
         return Posterior(past.belief, state.map, state.measurement_noise, errors)
+
+    @property
+    def _turns(self) -> bool:
+        """Return True for a body whose commands drive it and turn it about one axis."""
+        return bool(self.transition.commanded and np.count_nonzero(self.transition.manifold.turns) == 1)
 
     def _is_new(self, located: Located, past: Past, image: RGBD) -> bool:
         """Return True where the map knows nothing of what an image shows, and the pose is known."""

@@ -20,6 +20,7 @@ from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.belief import GaussianBelief
+from vssm_gym.model.transition.manifold import Manifold
 
 STD = 0.005  # rad, of a rotation between two images: a quarter of a pixel of 80 across a right angle
 MIN_CORRELATION = 0.9  # of the luminances after the rotation
@@ -62,8 +63,7 @@ def turned(
         The corrected belief, as predicted where the images do not tell; and whether they do.
     """
     manifold = belief.manifold
-    turns = manifold.turns[: manifold.twists.shape[1]]
-    k = int(np.flatnonzero(turns)[0])
+    k = turn_index(manifold)
     view = shrink_camera(rig.camera, max(1, rig.camera.width // COMPARED_WIDTH))
     alike = jnp.clip(gain(last, grey, jnp.ones_like(grey, bool)) * grey, 0.0, 1.0)
     axis = camera_twists(manifold, rig)[3:, k]
@@ -76,13 +76,24 @@ def turned(
     turn = jaxlie.SO3.from_matrix(found[best]).log()
     angle = axis @ turn / (axis @ axis)
     error = angle - moved[k]
-    told = jnp.linalg.norm(jnp.where(turns, 0.0, moved[: len(turns)])) <= DRIVEN
+    told = driven(moved, manifold) <= DRIVEN
     told &= _agreement(found[best], last, alike, view) >= MIN_CORRELATION
     told &= jnp.linalg.norm(turn - angle * axis) <= OFF_AXIS
     told &= jnp.abs(error) <= MOST_TURN_STDS * jnp.sqrt(variance + STD**2)
     share = jnp.where(told, variance / (variance + STD**2), 0.0)
     mean = manifold.perturb(belief.mean, jnp.zeros(len(belief.covariance)).at[k].set(share * error))
     return GaussianBelief(mean, belief.covariance.at[k, k].add(-share * variance), manifold), told
+
+
+def turn_index(manifold: Manifold) -> int:
+    """Return which coordinate of a body that turns about one axis is its heading."""
+    return int(np.flatnonzero(manifold.turns[: manifold.twists.shape[1]])[0])
+
+
+def driven(moved: Float[Array, "d"], manifold: Manifold) -> Float[Array, ""]:
+    """Return how far (m) the body has driven by the error between two states."""
+    turns = manifold.turns[: manifold.twists.shape[1]]
+    return jnp.linalg.norm(jnp.where(turns, 0.0, moved[: len(turns)]))
 
 
 def _agreement(R: Float[Array, "3 3"], last: Array, grey: Array, view: Camera) -> Float[Array, ""]:
