@@ -1,11 +1,11 @@
-"""Run ``vssm-gym demo``: map an apartment, run five agents in it, show one run, write the report."""
+"""Run ``vssm-gym demo``: map an apartment, run five agents in it, show one that maps as it drives, write the report."""
 
 from pathlib import Path
 
 from vssm_gym.cli.shared.console import say
 from vssm_gym.cli.shared.interruption import interruptible
 
-AGENT = "astar"  # of the run that is shown, from the kitchen through the living room into the bedroom
+AGENT = "slam_nav"  # of the run that is shown, from the kitchen through the living room into the bedroom
 START, GOAL = (9.76, 1.41, 2.43), (2.36, 5.36)  # x, y (m), heading (rad)
 RUN = "navigate"  # its folder
 
@@ -14,8 +14,8 @@ RUN = "navigate"  # its folder
 def demo(out: Path = Path("out/demo"), resume: bool = False, workers: int = 2, seed: int = 0) -> None:
     """Record a drive through `oak`, learn its map, run five agents on 10 tasks, show one run, and write a report.
 
-    It takes a few minutes on two cores. OUT/navigate holds the picture and, with the extra `viz`, the video of one run,
-    as of `vssm-gym navigate`. The last line printed is the path of the report.
+    It takes a few minutes on two cores. OUT/navigate holds the picture and, with the extra `viz`, the video of one run
+    without a map, as of `vssm-gym navigate`. The last line printed is the path of the report.
 
     Args:
         out: new or empty folder for the results.
