@@ -7,7 +7,7 @@ from pathlib import Path
 from vssm_gym.eval.metrics.aggregate import Interval, group_rows
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, KNOWN, ONE_STEP, Axis, Ratio, median_to_level, ratio
 from vssm_gym.eval.metrics.metric import Row
-from vssm_gym.eval.report import explore_figures, explore_tables, summary
+from vssm_gym.eval.report import explore_figures, explore_tables, summary, tables
 from vssm_gym.eval.report.explore_tables import PointComparison, Rival
 from vssm_gym.eval.report.ranking import Ranking, by_median, by_metric, paired_difference, paired_ratio
 from vssm_gym.eval.report.view import Mark, Plan, View, map_file
@@ -208,7 +208,7 @@ EXPLORE_VIEW = View(
     summary=SUMMARY,
     headline=headline,
     comparison=comparison,
-    curves_by=explore_tables.pooled,
+    curves_by=tables.pooled,
     curves=explore_figures.curves,
     plans=_plans,
     backgrounds=_backgrounds,

@@ -9,7 +9,7 @@ from vssm_gym.eval.metrics import exploration, proportions
 from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean, group_rows
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, COVERAGE_LEVELS, Axis, Ratio
 from vssm_gym.eval.metrics.metric import Row
-from vssm_gym.eval.report.tables import Measures, grouping
+from vssm_gym.eval.report.tables import Measures, pooled
 from vssm_gym.viz.html import Table
 
 TIED = 50.0  # nats: smaller differences vanish in the tables, which show tenths of 10^3 nats
@@ -23,11 +23,6 @@ EQUAL: dict[Axis, tuple[float, ...]] = {
 
 EXPLORE = Measures("explore")
 POOLED = ("accuracy_cm", "completion_cm", "complete_percent", "navigation_success", "navigation_spl")
-
-
-def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
-    """Return the headline's groups: the conditions without scenes, which it pools, and without the agent."""
-    return tuple(name for name in grouping(rows) if name not in ("scene", "agent"))
 
 
 def headline(rows: Sequence[Row], seed: int) -> Table:

@@ -83,6 +83,11 @@ def grouping(rows: Sequence[Row]) -> tuple[str, ...]:
     return tuple(name for name in BY if name in ("scene", "agent") or varies(name))
 
 
+def pooled(rows: Sequence[Row]) -> tuple[str, ...]:
+    """Return the condition columns that vary over rows, without scenes, which are pooled, and without the agent."""
+    return tuple(name for name in grouping(rows) if name not in ("scene", "agent"))
+
+
 def results(
     rows: Sequence[Row],
     seed: int,
