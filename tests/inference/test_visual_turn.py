@@ -79,6 +79,23 @@ def test_a_correction_is_the_products_of_two_gaussians(camera):
     assert float(belief.mean[2]) - planar[2] - COMMANDED == pytest.approx(0.1 * share, abs=0.008)
 
 
+@pytest.mark.parametrize("correlation", [0.0, 0.7, -0.99])
+def test_a_corrected_covariance_is_one_however_errors_are_correlated(camera, correlation):
+    """Only what is independent of the place can be taken from the heading's variance."""
+    planar = np.array([*PLACES[0], 0.7])
+    before, predicted = beliefs(planar)
+    shared = correlation * 0.01 * float(jnp.sqrt(predicted.covariance[2, 2]))
+    P = predicted.covariance.at[0, 2].set(shared).at[2, 0].set(shared)
+    images = grey(camera, planar), grey(camera, planar + np.array([0, 0, COMMANDED]))
+    belief, sees = visual_turn.turned(planar_belief(predicted.mean, P), before, *images, RIG)
+    assert sees
+    corrected = np.asarray(belief.covariance, float)
+    assert np.linalg.eigvalsh(corrected)[0] > 0.0
+    assert corrected[2, 2] < float(P[2, 2])
+    if correlation == 0.0:
+        assert corrected[2, 2] == pytest.approx(1e-4 + visual_turn.STD**2, rel=0.02)
+
+
 @pytest.mark.parametrize("level", [0.0, 0.5])
 def test_images_without_contrast_tell_nothing(level):
     before, predicted = beliefs(np.zeros(3))
