@@ -224,9 +224,23 @@ INFERENCE = (
     Mutant(
         "a-turn-seen-leaves-its-noise",
         "vssm_gym/inference/tracking/visual_turn.py",
-        ".add(-share * variance)",
-        ".add(0.0 * variance)",
+        ".add(-taken)",
+        ".add(0.0 * taken)",
         ("tests/inference/test_visual_turn.py::test_the_turn_is_seen_to_half_a_degree_whatever_the_exposure",),
+    ),
+    Mutant(
+        "a-turn-seen-takes-more-than-its-own-variance",
+        "vssm_gym/inference/tracking/visual_turn.py",
+        "jnp.minimum(share * variance, INDEPENDENT * _alone(belief.covariance, k))",
+        "share * variance",
+        ("tests/inference/test_visual_turn.py::test_a_corrected_covariance_is_one_however_errors_are_correlated",),
+    ),
+    Mutant(
+        "views-of-another-place-are-kept",
+        "vssm_gym/inference/tracking/standing_views.py",
+        "count = jnp.where(jnp.any(kept & elsewhere), 0, views.count)",
+        "count = views.count",
+        ("tests/inference/test_visual_turn.py::test_views_are_kept_apart_and_forgotten_where_the_robot_has_driven",),
     ),
     Mutant(
         "drift-left-out-of-a-prediction",
