@@ -31,8 +31,9 @@ from vssm_gym.planning.car.footprint import CAR_HEIGHTS, Arena
 from vssm_gym.planning.mpc.random_search import RandomSearch
 from vssm_gym.planning.occupancy_grid import FREE
 
-# Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side.
-CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.06)
+# Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side. The ring and the actor's border of one cell, less
+# its margin, are the 5 cm that a start keeps from everything.
+CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.03)
 BY_STATUS = {  # of an estimate that is not believed
     Status.FROZEN: Failure.FROZEN,
     Status.REPEATED: Failure.REPEATED,
@@ -51,10 +52,9 @@ class SlamCarConfig:
         stuck_steps: in these last steps
         stuck_length: commands one way that add up to this many metres
         stuck_share: and a motion below this share of it mean that something holds the car.
-        unseen_steps: in a row that the controller drives within a circle of ``held_length``, after which it may drive
-            onto unseen space.
-        held_steps: in a row that the controller drives
-        held_length: without leaving a circle of this radius, m: its plan leads nowhere.
+        progress: motions by which the way that is left has to get shorter.
+        unseen_steps: in a row that the controller drives without it, after which it may drive onto unseen space.
+        held_steps: in a row that the controller drives without it: its plan leads nowhere.
     """
 
     map: OwnMapConfig = CAR_MAP
@@ -62,9 +62,9 @@ class SlamCarConfig:
     stuck_steps: int = 8
     stuck_length: float = 0.08
     stuck_share: float = 0.25
+    progress: float = 0.3
     unseen_steps: int = 12
     held_steps: int = 25
-    held_length: float = 0.1
 
 
 class SlamCarAgent:
@@ -94,7 +94,6 @@ class SlamCarAgent:
         self._command, self._fresh = np.zeros(2), True
         self._trail = Trail(self._car)
         self._motions: deque[tuple[float, np.ndarray]] = deque(maxlen=self._config.stuck_steps)
-        self._held: list[np.ndarray] = []  # poses in a row at which the controller drove
         self._begin(observation["goal"])
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
@@ -138,6 +137,7 @@ class SlamCarAgent:
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)
+        self._held, self._least = 0, (0, np.inf)
         target = self._goal.astype(np.float64)
         self._critic = GrowingCritic(self._car, target, self._config.critic)
         self._parking = ParkingRule(self._car, target)
@@ -153,19 +153,24 @@ class SlamCarAgent:
         self._motions.append((float(self._command[0]) * self._car.dt, at.planar[:2].copy()))
         lengths = np.array([length for length, _ in self._motions][1:])
         asked = float(np.abs(lengths).sum())
-        moved = float(np.hypot(*(self._motions[-1][1] - self._motions[0][1])))
+        places = np.array([place for _, place in self._motions])
+        moved = float(np.hypot(*(places[:, None] - places).T).max())  # not from end to end: it may have rolled back
         one_way = len(lengths) == c.stuck_steps - 1 and abs(lengths.sum()) == asked  # servos lag behind a change
         if one_way and asked > c.stuck_length and moved < c.stuck_share * asked:
             self._motions.clear()
             self._own.bump(at.planar, bool(lengths[0] > 0.0))
             return Failure.STUCK
-        far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
-        self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
-        if len(self._held) >= c.unseen_steps and self._critic.dare(at.planar):
-            self._held = []
+        if self._critic.aim is not None:
+            left, (number, least) = self._critic.motions(at.planar), self._least
+            if number == self._critic.computed and left < least - c.progress:
+                self._held = 0
+            if number != self._critic.computed or self._held == 0:
+                self._least = self._critic.computed, left
+        if self._held == c.unseen_steps and self._critic.dare(at.planar):
+            self._held = 0
             return Failure.UNSEEN
-        if len(self._held) >= c.held_steps:
-            self._held = []
+        if self._held >= c.held_steps:
+            self._held = 0
             self._critic.forget()
             return Failure.HELD
         return Failure.NO_PATH if self._critic.aim is None else None
@@ -176,7 +181,7 @@ class SlamCarAgent:
         aim = self._critic.aim
         if response is not Response.DRIVE or aim is None:
             self._mpc.begin(self._command)
-            self._held = []
+            self._held = 0
         if response is Response.GIVE_UP:
             return CarCommand(np.zeros(2), gave_up(at.lost) if at.lost else f"gave up: {why}")
         if response is Response.BACK_UP and (back := self._trail.back()) is not None:
@@ -185,7 +190,7 @@ class SlamCarAgent:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
         if response is not Response.DRIVE or aim is None:
             return self._brake(f"brakes: {why}")
-        self._held.append(at.planar)
+        self._held += 1
         step = self._mpc.step(at.planar, aim, self._critic.clearance())
         if self._critic.careful(at.planar, step.control):
             step = replace(step, control=np.clip(step.control, [-CREEP_SPEED, -np.inf], [CREEP_SPEED, np.inf]))
