@@ -120,9 +120,8 @@ class GrowingCritic:
         """Return how many motions are left from a pose to where the actor is led; infinite without a path."""
         if self.aim is None:
             return np.inf
-        return float(
-            np.log(max(1.0 - float(self.aim.at(jnp.asarray(planar))) / self.aim.never, 1e-9)) / np.log(self.aim.gamma)
-        )
+        share = max(1.0 - float(self.aim.at(jnp.asarray(planar))) / self.aim.never, 1e-9)  # gamma^motions
+        return float(np.log(share) / np.log(self.aim.gamma))
 
     def clearance(self) -> ClearanceMap:
         """Return the distance to what is occupied or unseen, which the actor has to keep."""
