@@ -90,7 +90,6 @@ class SlamCarAgent:
         self._command, self._fresh = np.zeros(2), True
         self._trail = Trail(self._car)
         self._stuck = Stuck(self._config.stuck)
-        self._progress = Progress(self._config.progress)
         self._begin(observation["goal"])
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
@@ -134,7 +133,7 @@ class SlamCarAgent:
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)
-        self._progress.restart()
+        self._progress = Progress(self._config.progress)
         target = self._goal.astype(np.float64)
         self._critic = GrowingCritic(self._car, target, self._config.critic)
         self._parking = ParkingRule(self._car, target)

@@ -137,16 +137,42 @@ def test_what_it_keeps_off_is_what_is_occupied_or_unseen():
     assert keeps[0] > 0.3 and (keeps[1:] < 0.0).all()
 
 
+ROOM = (1.08, 1.62, 0.46, 0.74)  # hardly more than a car at FACING needs
+STRAIGHT_BEHIND = np.array([-0.6, 0.6, 0.0])
+
+
+def in_a_corner(*known: tuple[float, float, float, float]) -> GrowingCritic:
+    critic = GrowingCritic(CAR, STRAIGHT_BEHIND, CONFIG)
+    critic.update(seen(ROOM, *known), FACING)
+    return critic
+
+
 def test_where_it_dares_the_unseen_is_no_obstacle_and_it_is_careful():
-    critic = GrowingCritic(CAR, np.array([-0.4, 0.6, 0.0]), CONFIG)  # straight behind a car that has hardly any room
-    critic.update(seen((1.08, 1.62, 0.46, 0.74)), FACING)
-    onto = np.array([0.9, 0.6])
+    critic = in_a_corner()
+    onto = np.array([0.98, 0.6])
     back, on = np.array([-0.3, 0.0]), np.array([0.3, 0.0])
-    if critic.clearance().at(onto) < 0.0:
-        assert critic.dare(FACING)
-        critic.update(seen((1.08, 1.62, 0.46, 0.74)), FACING)
-    assert critic.clearance().at(onto) > 0.0
+    assert critic.clearance().at(onto) > 0.0  # there is no other way
     assert critic.careful(FACING, back) and not critic.careful(FACING, on)
+
+
+def test_it_dares_one_motion_at_a_time():
+    """What lies behind the first blind motion stays an obstacle until that was driven; then it decides again."""
+    critic = in_a_corner()
+    first, beyond = np.array([0.98, 0.6]), np.array([0.6, 0.6])
+    keeps = critic.clearance()
+    assert keeps.at(first) > 0.0 and keeps.at(beyond) < 0.0
+    computed = critic.computed
+    critic.update(seen(ROOM, (0.9, 1.62, 0.44, 0.76)), FACING - [0.15, 0.0, 0.0])
+    assert critic.computed == computed + 1
+    keeps = critic.clearance()
+    assert keeps.at(np.array([0.84, 0.6])) > 0.0 and keeps.at(np.array([0.4, 0.6])) < 0.0
+
+
+def test_what_it_dares_keeps_its_price():
+    """A motion backwards onto unseen cells counts as before where it may be driven."""
+    critic = in_a_corner()
+    back = critic.value.counted(np.array([[0.95, 0.6, 0.0]]), np.array([-1.0]))
+    assert critic.clearance().at(np.array([0.98, 0.6])) > 0.0 and back == CONFIG.unknown[1]
 
 
 def test_it_does_not_dare_where_everything_was_seen():

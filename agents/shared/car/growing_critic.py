@@ -64,7 +64,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (120, 160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 40.0)
+    unknown: tuple[float, float] = (1.5, 20.0)
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -91,6 +91,8 @@ class GrowingCritic:
         self._daring: np.ndarray = NONE  # cells that it may drive onto unseen
         self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same with some room
         self._vain: np.ndarray = np.zeros((0, 0), bool)  # cells that it has not seen from where it should have
+        self._share = 1.0  # of the price of unseen space: what cannot be driven around is worth its risk
+        self._bold = False  # it may drive onto what it meets first, seen in time or not
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
@@ -128,18 +130,22 @@ class GrowingCritic:
         return self._distance(self._unseen & ~self._dared)
 
     def dare(self, planar: np.ndarray) -> bool:
-        """Let the car drive onto the unseen cells that it meets first; without any, it looks at what it was to no more.
+        """Decide anew at the next update, as the car does not get on; unseen space is cheaper if little was seen since.
 
-        False where it was to do neither.
+        The car may drive onto the unseen cells that it meets first on the new route. What it was to look at from where
+        it already is, it looks at no more. False where it was to do neither.
         """
         if self._followed is None:
             return False
         met = self._sight(self._unseen).met(descend(self._followed, planar, self._car)[:DARED])
-        if len(met):
-            self._dare(met)
-        elif self.looks:
-            self._vain[tuple(self._patch.T)] = self._stale = True
-        return len(met) > 0 or self._stale
+        if not (len(met) or self.looks):
+            return False
+        if self._used is None or np.count_nonzero(self._plan[0] != self._used) < self._config.changed:
+            if not len(met):
+                self._vain[tuple(self._patch.T)] = True
+            self._share, self._bold = 0.5 * self._share, True
+        self._stale = True
+        return True
 
     def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
         """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
@@ -190,6 +196,7 @@ class GrowingCritic:
         if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
             return True
         if len(self._daring) and (cells[tuple(self._daring.T)] == UNKNOWN).mean() < 1.0 - DRIVEN_SHARE:
+            self._share = 1.0
             return True
         if self._waited < self._config.pause:
             return False
@@ -211,6 +218,7 @@ class GrowingCritic:
         self.aim, self._followed = None, self.value
         self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
         self._dare(NONE)
+        bold, self._bold = self._bold, False
         self.computed, self._stale = self.computed + 1, False
         if self._followed is None:
             return
@@ -223,7 +231,9 @@ class GrowingCritic:
             if look.cost_to_go is not None:
                 self._followed, self._patch = look.cost_to_go, patch
                 route = descend(self._followed, planar, self._car)
-        self._dare(self._sight(self._unseen).blind(route, 1))
+        sight = self._sight(self._unseen)
+        blind = sight.blind(route, 1)
+        self._dare(sight.met(route[:DARED]) if bold and not len(blind) else blind)
         self.aim = replace(self._followed, counts=None)
         self._near = self._around(route, nothing)
 
@@ -248,7 +258,8 @@ class GrowingCritic:
         """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
         headings = heading_grid(ValueConfig().n_headings)
         over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, MARGIN)
-        return np.stack([np.where(over, count, 1.0) for count in self._config.unknown]).astype(np.float32)
+        priced = [1.0 + self._share * (count - 1.0) for count in self._config.unknown]
+        return np.stack([np.where(over, count, 1.0) for count in priced]).astype(np.float32)
 
     def _best(
         self,

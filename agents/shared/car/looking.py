@@ -15,7 +15,7 @@ HALF_ANGLE = 0.7  # rad, of the view that is counted on: 5 degrees less than the
 SIGHT_FROM, SIGHT_TO = 0.1, 1.6  # m from the camera, within which a view shows a cell
 AHEAD = 12  # motions of a route that are examined: 1.6 m
 PATCH = 4  # motions from the first blind one on, whose unseen cells are looked at together
-MARGIN = 0.03  # m around the footprint that have to be seen, too: those that the actor keeps free
+MARGIN = 0.045  # m around the footprint that have to be seen, too: 3 cm around discs that stand out of it are kept free
 
 
 class Sight:

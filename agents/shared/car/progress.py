@@ -65,12 +65,12 @@ class Progress:
     def __init__(self, least: float) -> None:
         """Count as progress ``least`` motions less than were left before."""
         self._least = least
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin to count again."""
         self.steps = 0
         self._computed, self._left = -1, np.inf
+
+    def restart(self) -> None:
+        """Count from 0; a way that has got longer meanwhile is no progress when it gets shorter again."""
+        self.steps = 0
 
     def see(self, computed: int, left: float) -> None:
         """Take how many motions are left by the cost-to-go of this number."""
