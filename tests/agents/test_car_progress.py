@@ -63,3 +63,15 @@ def test_a_new_cost_to_go_is_no_progress_of_its_own():
     assert progress.steps == 20
     progress.see(3, 19.0)
     assert progress.steps == 0
+
+
+def test_to_get_back_what_was_lost_is_no_progress():
+    progress = Progress(0.3)
+    for left in (20.0, 20.0, 24.0):
+        progress.see(1, left)
+        progress.drove()
+    progress.restart()
+    for left in (24.0, 22.0, 20.0):
+        progress.see(1, left)
+        progress.drove()
+    assert progress.steps == 3

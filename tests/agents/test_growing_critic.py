@@ -175,6 +175,29 @@ def test_what_it_dares_keeps_its_price():
     assert critic.clearance().at(np.array([0.98, 0.6])) > 0.0 and back == CONFIG.unknown[1]
 
 
+def test_where_it_does_not_get_on_unseen_space_becomes_cheaper_until_it_has_driven_there():
+    critic, price = in_a_corner(), CONFIG.unknown[1]
+    there, back = np.array([[0.95, 0.6, 0.0]]), np.array([-1.0])
+    for _ in range(2):
+        assert critic.dare(FACING)
+        critic.update(seen(ROOM), FACING)
+        price = 1.0 + 0.5 * (price - 1.0)
+        np.testing.assert_allclose(critic.value.counted(there, back), price)
+    driven = (0.9, 1.62, 0.44, 0.76)
+    critic.update(seen(driven), FACING - [0.15, 0.0, 0.0])
+    np.testing.assert_allclose(critic.value.counted(there - [[0.4, 0.0, 0.0]], back), CONFIG.unknown[1])
+
+
+def test_it_decides_anew_before_it_dares_where_much_was_seen_meanwhile():
+    critic = in_a_corner()
+    elsewhere = seen(ROOM, (1.0, 1.6, 1.4, 1.9))
+    critic.update(elsewhere, FACING)  # at once after the last computation: it waits
+    assert critic.computed == 1 and critic.dare(FACING)
+    critic.update(elsewhere, FACING)
+    back = critic.value.counted(np.array([[0.95, 0.6, 0.0]]), np.array([-1.0]))
+    assert critic.computed == 2 and back == CONFIG.unknown[1]
+
+
 def test_it_does_not_dare_where_everything_was_seen():
     critic = critic_after(plan(9.0))
     assert not critic.looks and not critic.dare(START)

@@ -20,7 +20,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion
+from scipy.ndimage import binary_erosion
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
 from vssm_gym.agents.shared.car.looking import MARGIN, Sight
@@ -89,7 +89,7 @@ class GrowingCritic:
         self._stale = False  # it has to be computed again at the next update
         self._patch: np.ndarray = NONE  # cells that it looks at first
         self._daring: np.ndarray = NONE  # cells that it may drive onto unseen
-        self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same with some room
+        self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same as a mask
         self._vain: np.ndarray = np.zeros((0, 0), bool)  # cells that it has not seen from where it should have
         self._share = 1.0  # of the price of unseen space: what cannot be driven around is worth its risk
         self._bold = False  # it may drive onto what it meets first, seen in time or not
@@ -242,10 +242,9 @@ class GrowingCritic:
         return Sight(self._plan[0] == OCCUPIED, unseen, self._corner, self._resolution, self._car)
 
     def _dare(self, patch: np.ndarray) -> None:
-        """Let the actor drive onto a patch of cells, and two cells around it, as if they were seen; onto no others."""
-        cells = np.zeros_like(self._dared)
-        cells[tuple(patch.T)] = True
-        self._daring, self._dared = patch, binary_dilation(cells, iterations=2)
+        """Let the actor drive onto a patch of cells as if they were seen, and onto no others: it cuts no corners."""
+        self._daring, self._dared = patch, np.zeros_like(self._dared)
+        self._dared[tuple(patch.T)] = True
 
     def _distance(self, also: np.ndarray) -> ClearanceMap:
         """Return the distance to what is occupied, and to the cells of ``also``."""
