@@ -20,7 +20,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
 from vssm_gym.agents.shared.car.looking import MARGIN, Sight
@@ -45,6 +45,7 @@ TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DRIVEN_SHARE = 0.5  # of the cells that it dared, from which on it has driven onto them: their edge it only passes
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
+WIDEST = 2  # cells around what it dares
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
 NONE: np.ndarray = np.zeros((0, 2), int)  # cells
 
@@ -89,9 +90,9 @@ class GrowingCritic:
         self._stale = False  # it has to be computed again at the next update
         self._patch: np.ndarray = NONE  # cells that it looks at first
         self._daring: np.ndarray = NONE  # cells that it may drive onto unseen
-        self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same as a mask
+        self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same, and room around them
         self._vain: np.ndarray = np.zeros((0, 0), bool)  # cells that it has not seen from where it should have
-        self._share = 1.0  # of the price of unseen space: what cannot be driven around is worth its risk
+        self._failed = 0  # times in a row that it did not get on: what cannot be driven around is worth its risk
         self._bold = False  # it may drive onto what it meets first, seen in time or not
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
@@ -143,7 +144,7 @@ class GrowingCritic:
         if self._used is None or np.count_nonzero(self._plan[0] != self._used) < self._config.changed:
             if not len(met):
                 self._vain[tuple(self._patch.T)] = True
-            self._share, self._bold = 0.5 * self._share, True
+            self._failed, self._bold = self._failed + 1, True
         self._stale = True
         return True
 
@@ -196,7 +197,7 @@ class GrowingCritic:
         if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
             return True
         if len(self._daring) and (cells[tuple(self._daring.T)] == UNKNOWN).mean() < 1.0 - DRIVEN_SHARE:
-            self._share = 1.0
+            self._failed = 0
             return True
         if self._waited < self._config.pause:
             return False
@@ -242,9 +243,11 @@ class GrowingCritic:
         return Sight(self._plan[0] == OCCUPIED, unseen, self._corner, self._resolution, self._car)
 
     def _dare(self, patch: np.ndarray) -> None:
-        """Let the actor drive onto a patch of cells as if they were seen, and onto no others: it cuts no corners."""
+        """Let the actor drive onto a patch of cells as if they were seen; around it only where it failed to before."""
         self._daring, self._dared = patch, np.zeros_like(self._dared)
         self._dared[tuple(patch.T)] = True
+        if self._failed:
+            self._dared = binary_dilation(self._dared, iterations=min(self._failed, WIDEST))
 
     def _distance(self, also: np.ndarray) -> ClearanceMap:
         """Return the distance to what is occupied, and to the cells of ``also``."""
@@ -257,7 +260,7 @@ class GrowingCritic:
         """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
         headings = heading_grid(ValueConfig().n_headings)
         over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, MARGIN)
-        priced = [1.0 + self._share * (count - 1.0) for count in self._config.unknown]
+        priced = [1.0 + 0.5**self._failed * (count - 1.0) for count in self._config.unknown]
         return np.stack([np.where(over, count, 1.0) for count in priced]).astype(np.float32)
 
     def _best(
