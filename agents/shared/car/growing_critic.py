@@ -20,7 +20,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion
+from scipy.ndimage import binary_dilation
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
 from vssm_gym.agents.shared.car.looking import MARGIN, Sight
@@ -97,21 +97,22 @@ class GrowingCritic:
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
-        self._unseen: np.ndarray  # the unknown cells among them that border on no known one
+        self._unseen: np.ndarray  # the unknown cells among them that border on no seen one
+        self._driven: np.ndarray = np.zeros((0, 0), bool)  # cells that became known as the car stood on them
         self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
         """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
         if self._used is None:
             self._place(plan, planar, 0)
-        self._cut(plan)
+        self._cut(plan, planar)
         self._waited += 1
         if not self._matters(self._plan[0], planar):
             return
         self._compute(planar)
         while self.value is None and self._side + 1 < len(self._config.sides):
             self._place(plan, planar, self._side + 1)
-            self._cut(plan)
+            self._cut(plan, planar)
             self._compute(planar)
 
     @property
@@ -172,11 +173,15 @@ class GrowingCritic:
         self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
-        self._dared, self._vain = (np.zeros((sides[side], sides[side]), bool) for _ in range(2))
+        self._dared, self._vain, self._driven = (np.zeros((sides[side], sides[side]), bool) for _ in range(3))
         self._daring = NONE
 
-    def _cut(self, plan: FloorPlan) -> None:
-        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
+    def _cut(self, plan: FloorPlan, planar: np.ndarray) -> None:
+        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach.
+
+        Next to a cell that was seen, an unknown one is counted as seen, too, but not next to one that is known only
+        because the car has stood on it: that border would follow a car that drives onto what it has not seen.
+        """
         n = self._config.sides[self._side]
         cells, occupancy = np.full((n, n), UNKNOWN, np.int8), np.full((n, n), -np.inf, np.float32)
         first = np.round((plan.origin - self._corner) / plan.resolution).astype(int)
@@ -184,8 +189,15 @@ class GrowingCritic:
         theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
         if all(s.stop > s.start for s in ours):
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
+        under = footprint_cells(self._corner, self._resolution, planar, self._car)
+        under = under[np.all((under >= 0) & (under < n), axis=1)]
+        came = np.zeros((n, n), bool)
+        came[tuple(under.T)] = True
+        if self._used is not None and self._plan[0].shape == cells.shape:
+            self._driven |= came & (self._plan[0] == UNKNOWN) & (cells != UNKNOWN)
         self._plan = cells, occupancy
-        self._unseen = binary_erosion(cells == UNKNOWN, np.ones((3, 3), bool), border_value=1)
+        shown = (cells != UNKNOWN) & ~self._driven
+        self._unseen = (cells == UNKNOWN) & ~binary_dilation(shown, np.ones((3, 3), bool))
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
