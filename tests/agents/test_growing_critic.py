@@ -188,6 +188,21 @@ def test_where_it_does_not_get_on_unseen_space_becomes_cheaper_until_it_has_driv
     np.testing.assert_allclose(critic.value.counted(there - [[0.4, 0.0, 0.0]], back), CONFIG.unknown[1])
 
 
+@pytest.mark.parametrize("stood", [True, False])
+def test_next_to_what_it_only_stood_on_nothing_counts_as_seen(stood):
+    """Cells that become known under the car have no border; those that become known elsewhere have one of a cell."""
+    critic = in_a_corner()
+    there = np.array([0.7, 0.6, 0.0])
+    left, right = there[0] - CAR.rear_overhang, there[0] - CAR.rear_overhang + CAR.length
+    known = (left + 0.01, right - 0.01, 0.51, 0.69)
+    critic.update(seen(ROOM, known), there if stood else FACING)
+    cells = critic._plan[0]
+    j = round((0.6 - critic._corner[1]) / CELL)
+    first = int(np.flatnonzero(cells[:, j] == FREE)[0])
+    assert cells[first - 1, j] == UNKNOWN and critic._unseen[first - 1, j] == stood
+    assert critic._unseen[first - 2, j]
+
+
 def test_it_decides_anew_before_it_dares_where_much_was_seen_meanwhile():
     critic = in_a_corner()
     elsewhere = seen(ROOM, (1.0, 1.6, 1.4, 1.9))
