@@ -9,7 +9,6 @@ is lost, stuck or without a path is a table (:mod:`vssm_gym.agents.shared.car.re
 """
 
 import time
-from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +18,8 @@ from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
 from vssm_gym.agents.shared.car.driver import CarCommand
 from vssm_gym.agents.shared.car.growing_critic import GrowingConfig, GrowingCritic
 from vssm_gym.agents.shared.car.parking import Parking, ParkingRule, braking
-from vssm_gym.agents.shared.car.recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping
+from vssm_gym.agents.shared.car.progress import Progress, Stuck, StuckConfig
+from vssm_gym.agents.shared.car.recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping, leads_into
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
@@ -29,10 +29,11 @@ from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car.footprint import CAR_HEIGHTS, Arena
 from vssm_gym.planning.mpc.random_search import RandomSearch
-from vssm_gym.planning.occupancy_grid import FREE
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED
 
-# Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side.
-CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.06)
+# Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side. The ring and the actor's border of one cell, less
+# its margin, are the 5 cm that a start keeps from everything.
+CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.03)
 BY_STATUS = {  # of an estimate that is not believed
     Status.FROZEN: Failure.FROZEN,
     Status.REPEATED: Failure.REPEATED,
@@ -48,23 +49,18 @@ class SlamCarConfig:
     Args:
         map: cells and heights of the agent's own map.
         critic: its grid, the price of unknown space, and when it is computed again.
-        stuck_steps: in these last steps
-        stuck_length: commands one way that add up to this many metres
-        stuck_share: and a motion below this share of it mean that something holds the car.
-        unseen_steps: in a row that the controller drives within a circle of ``held_length``, after which it may drive
-            onto unseen space.
-        held_steps: in a row that the controller drives
-        held_length: without leaving a circle of this radius, m: its plan leads nowhere.
+        stuck: when something holds the car.
+        progress: motions by which the way that is left has to get shorter.
+        unseen_steps: in a row that the controller drives without it, after which it may drive onto unseen space.
+        held_steps: in a row that the controller drives without it: its plan leads nowhere.
     """
 
     map: OwnMapConfig = CAR_MAP
     critic: GrowingConfig = field(default_factory=GrowingConfig)
-    stuck_steps: int = 8
-    stuck_length: float = 0.08
-    stuck_share: float = 0.25
+    stuck: StuckConfig = field(default_factory=StuckConfig)
+    progress: float = 0.3
     unseen_steps: int = 12
     held_steps: int = 25
-    held_length: float = 0.1
 
 
 class SlamCarAgent:
@@ -93,8 +89,7 @@ class SlamCarAgent:
         self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
         self._command, self._fresh = np.zeros(2), True
         self._trail = Trail(self._car)
-        self._motions: deque[tuple[float, np.ndarray]] = deque(maxlen=self._config.stuck_steps)
-        self._held: list[np.ndarray] = []  # poses in a row at which the controller drove
+        self._stuck = Stuck(self._config.stuck)
         self._begin(observation["goal"])
         at = self._own.estimate.planar
         self._critic.update(self._own.plan(), at)
@@ -138,6 +133,7 @@ class SlamCarAgent:
 
     def _begin(self, goal: np.ndarray) -> None:
         self._goal = np.array(goal)
+        self._progress = Progress(self._config.progress)
         target = self._goal.astype(np.float64)
         self._critic = GrowingCritic(self._car, target, self._config.critic)
         self._parking = ParkingRule(self._car, target)
@@ -147,25 +143,20 @@ class SlamCarAgent:
     def _failure(self, at: Localization) -> Failure | None:
         """Return what is wrong now, and note where the car was held."""
         if at.lost:
-            self._motions.clear()
+            self._stuck.clear()
             return BY_STATUS.get(at.status, Failure.LOST)
         c = self._config
-        self._motions.append((float(self._command[0]) * self._car.dt, at.planar[:2].copy()))
-        lengths = np.array([length for length, _ in self._motions][1:])
-        asked = float(np.abs(lengths).sum())
-        moved = float(np.hypot(*(self._motions[-1][1] - self._motions[0][1])))
-        one_way = len(lengths) == c.stuck_steps - 1 and abs(lengths.sum()) == asked  # servos lag behind a change
-        if one_way and asked > c.stuck_length and moved < c.stuck_share * asked:
-            self._motions.clear()
-            self._own.bump(at.planar, bool(lengths[0] > 0.0))
+        length = self._stuck.step(float(self._command[0]) * self._car.dt, at.planar[:2])
+        if length is not None:
+            self._own.bump(at.planar, length > 0.0)
             return Failure.STUCK
-        far = [np.hypot(*(pose[:2] - at.planar[:2])) > c.held_length for pose in self._held]
-        self._held = self._held[int(np.flatnonzero(far)[-1]) + 1 if any(far) else 0 :]
-        if len(self._held) >= c.unseen_steps and self._critic.dare(at.planar):
-            self._held = []
+        if self._critic.aim is not None:
+            self._progress.see(self._critic.computed, self._critic.motions(at.planar))
+        if self._progress.steps == c.unseen_steps and self._critic.dare(at.planar):
+            self._progress.restart()
             return Failure.UNSEEN
-        if len(self._held) >= c.held_steps:
-            self._held = []
+        if self._progress.steps >= c.held_steps:
+            self._progress.restart()
             self._critic.forget()
             return Failure.HELD
         return Failure.NO_PATH if self._critic.aim is None else None
@@ -176,16 +167,20 @@ class SlamCarAgent:
         aim = self._critic.aim
         if response is not Response.DRIVE or aim is None:
             self._mpc.begin(self._command)
-            self._held = []
+            self._progress.restart()
         if response is Response.GIVE_UP:
             return CarCommand(np.zeros(2), gave_up(at.lost) if at.lost else f"gave up: {why}")
         if response is Response.BACK_UP and (back := self._trail.back()) is not None:
-            return CarCommand(back, f"{response.value}: {why}")
+            plan = self._own.plan()
+            if at.lost or not leads_into(
+                plan.cells == OCCUPIED, plan.origin, plan.resolution, at.planar, back, self._car
+            ):
+                return CarCommand(back, f"{response.value}: {why}")
         if response is Response.CREEP:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
         if response is not Response.DRIVE or aim is None:
             return self._brake(f"brakes: {why}")
-        self._held.append(at.planar)
+        self._progress.drove()
         step = self._mpc.step(at.planar, aim, self._critic.clearance())
         if self._critic.careful(at.planar, step.control):
             step = replace(step, control=np.clip(step.control, [-CREEP_SPEED, -np.inf], [CREEP_SPEED, np.inf]))

@@ -2,9 +2,10 @@
 
 The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Masks over its columns are
 kept with it. A body, a disc or a car's rectangle, disproves any obstacle that is believed to stand where it is. The
-ring around it, over which the camera looks, is free where nothing was seen. A thin leg, which averages away in cells
-wider than itself, is remembered as it was seen from nearby. Where the camera looked and measured nothing, something is
-nearer than it measures.
+ring around it, over which the camera looks, is free where nothing was seen: around a disc, which turns to where it
+drives, wherever it has been; around a car only where it started. A ring that followed a car would free what it backs
+onto, a step ahead of it. A thin leg, which averages away in cells wider than itself, is remembered as it was seen from
+nearby. Where the camera looked and measured nothing, something is nearer than it measures.
 """
 
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ class OwnMapConfig:
     levels: tuple[float, float] = (-0.35, 3.2)  # heights that the map covers
     slots: int = 8000  # blocks with storage, 100 MB: five apartments of 100 m^2
     heights: tuple[float, float] = BODY_HEIGHTS  # of the body above the floor
-    ring: float = 0.08  # around where the body has been; free where nothing was seen, for the camera looks over it
+    ring: float = 0.08  # around where the body has been, a car: where it started; free where nothing was seen
     close_range: float = 2.0  # within which measurements at the body's height are remembered one by one
     close_low: float = 0.025  # lowest height of these above the floor
     blind_range: float = 0.42  # within which depth cameras measure nothing: what has no depth is as near
@@ -62,6 +63,7 @@ class OwnMap:
         self._met, self._blind = np.zeros(shape, bool), np.zeros(shape, bool)
         self._rays = np.asarray(self.camera.rays(), np.float64)[::2, ::2]
         self.estimate = mapper.reset(prior, context, observation)
+        self._surround(self.estimate.planar)
         self._mark(observation)
 
     @property
@@ -86,6 +88,8 @@ class OwnMap:
         planar = self.estimate.planar
         depth = np.asarray(observation["depth"], np.float32)
         self._stand(planar)
+        if self._car is None:
+            self._surround(planar)
         T_world_cam = planar_to_matrix(planar) @ self.T_body_cam
         self._notice(depth[::2, ::2], T_world_cam)
         self._miss(depth[::2, ::2], T_world_cam)
@@ -128,13 +132,20 @@ class OwnMap:
         self._seen[cell[:, 0], cell[:, 1]] = 2
 
     def _stand(self, planar: np.ndarray) -> None:
-        """Mark the columns of the body at ``planar`` (m, rad) and of the ring around it."""
-        xy = planar[:2]
-        reach = self.config.ring + (self.radius if self._car is None else self._car.length)
-        window, (x, y) = self._window(xy, reach)
-        away = self._from_body(x, y, float(planar[2]))
+        """Mark the columns of the body at ``planar`` (m, rad)."""
+        window, away = self._away(planar, 0.0)
         self._body[window] |= away <= 0.0
+
+    def _surround(self, planar: np.ndarray) -> None:
+        """Mark the columns of the ring around the body at ``planar`` (m, rad)."""
+        window, away = self._away(planar, self.config.ring)
         self._near[window] |= away <= self.config.ring
+
+    def _away(self, planar: np.ndarray, margin: float) -> tuple[tuple[slice, ...], np.ndarray]:
+        """Return the columns around the body at ``planar`` (m, rad), grown by ``margin``, and their distances to it."""
+        reach = margin + (self.radius if self._car is None else self._car.length)
+        window, (x, y) = self._window(planar[:2], reach)
+        return window, self._from_body(x, y, float(planar[2]))
 
     def _from_body(self, x: np.ndarray, y: np.ndarray, heading: float) -> np.ndarray:
         """Return the distances (m) of places relative to the body's origin from its footprint; not positive inside."""

@@ -14,6 +14,7 @@ from vssm_gym.agents.shared.car.recovery import (
     Response,
     Trail,
     creeping,
+    leads_into,
 )
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
@@ -96,3 +97,14 @@ def test_where_it_creeps_nothing_is_in_its_way(x, y, heading):
         for _ in range(3):
             pose = driven(pose, creeping(world, pose, CAR))
             assert not collides(world, pose, CAR, -0.01)
+
+
+@pytest.mark.parametrize(("column", "speed", "led"), [(20, -0.25, True), (20, 0.25, False), (10, -0.25, False)])
+def test_it_does_not_back_up_into_what_it_has_mapped_meanwhile(column, speed, led):
+    """Behind the car, 8 cm from its bumper; on the other side; out of reach. From inside an obstacle it may leave."""
+    world = arena(column)
+    ahead = lambda x: leads_into(
+        world.occupied, world.origin, world.resolution, np.array([x, 0.0, 0.0]), np.array([speed, 0.0]), CAR
+    )
+    assert ahead(-0.33) == led
+    assert column != 20 or not ahead(-0.45)

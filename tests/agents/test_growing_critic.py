@@ -137,16 +137,80 @@ def test_what_it_keeps_off_is_what_is_occupied_or_unseen():
     assert keeps[0] > 0.3 and (keeps[1:] < 0.0).all()
 
 
+ROOM = (1.08, 1.62, 0.46, 0.74)  # hardly more than a car at FACING needs
+STRAIGHT_BEHIND = np.array([-0.6, 0.6, 0.0])
+
+
+def in_a_corner(*known: tuple[float, float, float, float]) -> GrowingCritic:
+    critic = GrowingCritic(CAR, STRAIGHT_BEHIND, CONFIG)
+    critic.update(seen(ROOM, *known), FACING)
+    return critic
+
+
 def test_where_it_dares_the_unseen_is_no_obstacle_and_it_is_careful():
-    critic = GrowingCritic(CAR, np.array([-0.4, 0.6, 0.0]), CONFIG)  # straight behind a car that has hardly any room
-    critic.update(seen((1.08, 1.62, 0.46, 0.74)), FACING)
-    onto = np.array([0.9, 0.6])
+    critic = in_a_corner()
+    onto = np.array([0.98, 0.6])
     back, on = np.array([-0.3, 0.0]), np.array([0.3, 0.0])
-    if critic.clearance().at(onto) < 0.0:
-        assert critic.dare(FACING)
-        critic.update(seen((1.08, 1.62, 0.46, 0.74)), FACING)
-    assert critic.clearance().at(onto) > 0.0
+    assert critic.clearance().at(onto) > 0.0  # there is no other way
     assert critic.careful(FACING, back) and not critic.careful(FACING, on)
+
+
+def test_it_dares_one_motion_at_a_time():
+    """What lies behind the first blind motion stays an obstacle until that was driven; then it decides again."""
+    critic = in_a_corner()
+    first, beyond = np.array([0.98, 0.6]), np.array([0.6, 0.6])
+    keeps = critic.clearance()
+    assert keeps.at(first) > 0.0 and keeps.at(beyond) < 0.0
+    computed = critic.computed
+    critic.update(seen(ROOM, (0.9, 1.62, 0.44, 0.76)), FACING - [0.15, 0.0, 0.0])
+    assert critic.computed == computed + 1
+    keeps = critic.clearance()
+    assert keeps.at(np.array([0.84, 0.6])) > 0.0 and keeps.at(np.array([0.4, 0.6])) < 0.0
+
+
+def test_what_it_dares_keeps_its_price():
+    """A motion backwards onto unseen cells counts as before where it may be driven."""
+    critic = in_a_corner()
+    back = critic.value.counted(np.array([[0.95, 0.6, 0.0]]), np.array([-1.0]))
+    assert critic.clearance().at(np.array([0.98, 0.6])) > 0.0 and back == CONFIG.unknown[1]
+
+
+def test_where_it_does_not_get_on_unseen_space_becomes_cheaper_until_it_has_driven_there():
+    critic, price = in_a_corner(), CONFIG.unknown[1]
+    there, back = np.array([[0.95, 0.6, 0.0]]), np.array([-1.0])
+    for _ in range(2):
+        assert critic.dare(FACING)
+        critic.update(seen(ROOM), FACING)
+        price = 1.0 + 0.5 * (price - 1.0)
+        np.testing.assert_allclose(critic.value.counted(there, back), price)
+    driven = (0.9, 1.62, 0.44, 0.76)
+    critic.update(seen(driven), FACING - [0.15, 0.0, 0.0])
+    np.testing.assert_allclose(critic.value.counted(there - [[0.4, 0.0, 0.0]], back), CONFIG.unknown[1])
+
+
+@pytest.mark.parametrize("stood", [True, False])
+def test_next_to_what_it_only_stood_on_nothing_counts_as_seen(stood):
+    """Cells that become known under the car have no border; those that become known elsewhere have one of a cell."""
+    critic = in_a_corner()
+    there = np.array([0.7, 0.6, 0.0])
+    left, right = there[0] - CAR.rear_overhang, there[0] - CAR.rear_overhang + CAR.length
+    known = (left + 0.01, right - 0.01, 0.51, 0.69)
+    critic.update(seen(ROOM, known), there if stood else FACING)
+    cells = critic._plan[0]
+    j = round((0.6 - critic._corner[1]) / CELL)
+    first = int(np.flatnonzero(cells[:, j] == FREE)[0])
+    assert cells[first - 1, j] == UNKNOWN and critic._unseen[first - 1, j] == stood
+    assert critic._unseen[first - 2, j]
+
+
+def test_it_decides_anew_before_it_dares_where_much_was_seen_meanwhile():
+    critic = in_a_corner()
+    elsewhere = seen(ROOM, (1.0, 1.6, 1.4, 1.9))
+    critic.update(elsewhere, FACING)  # at once after the last computation: it waits
+    assert critic.computed == 1 and critic.dare(FACING)
+    critic.update(elsewhere, FACING)
+    back = critic.value.counted(np.array([[0.95, 0.6, 0.0]]), np.array([-1.0]))
+    assert critic.computed == 2 and back == CONFIG.unknown[1]
 
 
 def test_it_does_not_dare_where_everything_was_seen():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.agents.shared.car.looking import HALF_ANGLE, SIGHT_TO, Sight
+from vssm_gym.agents.shared.car.looking import HALF_ANGLE, MARGIN, SIGHT_TO, Sight, between
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
@@ -55,10 +55,24 @@ def test_what_a_car_meets_unseen(unseen, steering, ahead, blind):
     assert (len(patch) > 0) == blind
     assert unseen[tuple(patch.T)].all()
     if blind:
-        swept = np.concatenate([footprint_cells(CORNER, CELL, pose, CAR) for pose in path])
+        swept = np.concatenate([footprint_cells(CORNER, CELL, pose, CAR, MARGIN) for pose in between(path)])
         assert set(map(tuple, patch)) <= set(map(tuple, swept))
         assert not view.seen(path[1:2], patch).all()
-    assert len(view.met(path)) >= len(patch)
+        first = view.blind(path, 1)
+        assert 0 < len(first) < len(patch) and set(map(tuple, first)) <= set(map(tuple, patch))
+    met = view.met(path)
+    assert (len(met) > 0) >= blind
+    motions = [np.concatenate([view.unseen_under(pose) for pose in between(path[k : k + 2])]) for k in range(7)]
+    first = next((cells for cells in motions if len(cells)), met)
+    np.testing.assert_array_equal(met, np.unique(first, axis=0))
+
+
+@pytest.mark.parametrize(("away", "blind"), [(0.02, True), (0.12, False)])
+def test_what_the_actor_keeps_free_has_to_be_seen_too(away, blind):
+    """A wall of unseen cells beside a straight drive backwards, at a distance from the footprint's side."""
+    side = -0.5 * CAR.width - away
+    path = route(0.0, -1.0)
+    assert (len(sight(grid((-2.0, -0.2, -2.0, side))).blind(path)) > 0) == blind
 
 
 def test_an_obstacle_before_it_hides_what_lies_beyond():

@@ -30,6 +30,11 @@ class Standing:
         self.map = prior
         return self.at
 
+    def update(self, command, observation):
+        """Move by ``command``, in the world."""
+        self.at = dataclasses.replace(self.at, planar=self.at.planar + command)
+        return self.at
+
 
 def plan_of(planar, car=CAR, bumped=None):
     own = OwnMap(dataclasses.replace(context(), car=car), Standing(planar), CONFIG, FAR)
@@ -58,6 +63,24 @@ def test_another_robot_is_a_disc():
     disc = shapely.Point(0.2, 0.1).buffer(0.5 * context().body_length + CONFIG.ring, quad_segs=256)
     assert (plan.cells[known(plan, disc.buffer(-1e-3))] == FREE).all()
     assert (plan.cells[~known(plan, disc.buffer(1e-3))] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize("car", [CAR, None])
+def test_a_ring_that_follows_a_disc_stays_where_a_car_started(car):
+    """A car backs onto what its camera never showed: only what it has stood on becomes free."""
+    own = OwnMap(dataclasses.replace(context(), car=car), Standing(np.zeros(3)), CONFIG, FAR)
+    for _ in range(10):
+        own.take(np.array([-0.03, 0.0, 0.0]), FAR)
+    plan = own.plan()
+    half = 0.5 * context().body_length
+    first, last = (
+        (shapely.Polygon(CAR.corners(at)) if car else shapely.Point(at[:2]).buffer(half, quad_segs=256))
+        for at in (np.zeros(3), np.array([-0.3, 0.0, 0.0]))
+    )
+    stood = shapely.union_all([first, last]).convex_hull
+    free = stood.union(first.buffer(CONFIG.ring)) if car else stood.buffer(CONFIG.ring, quad_segs=256)
+    assert (plan.cells[known(plan, free.buffer(-2e-3))] == FREE).all()
+    assert (plan.cells[~known(plan, free.buffer(2e-3))] == UNKNOWN).all()
 
 
 @pytest.mark.parametrize("ahead", [True, False])

@@ -7,21 +7,23 @@ cells are passable, at the price of several motions for one.
 The actor keeps off unknown space: what it drives onto has to be seen before. Where the route would meet unseen cells
 that the camera does not show on the poses before (:mod:`vssm_gym.agents.shared.car.looking`), the actor is led first to
 the nearest pose from which they are seen, by a second cost-to-go. Unseen cells that are met on the route to that pose,
-or for which there is none, or before which the car does not get on, it may drive onto; it dares, slowly.
+or for which there is none, or before which the car does not get on, it may drive onto; it dares, slowly, and one motion
+at a time: what it has seen meanwhile may lead to a route that needs no other. They keep their price.
 
 It is computed again where the change matters: cells near the route became occupied, many cells changed, what was to be
-looked at was seen, the car has left the poses with a path, or there is no cost-to-go yet.
+looked at was seen, what was dared was driven onto, the car has left the poses with a path, or there is none yet.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion
+from scipy.ndimage import binary_dilation
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
-from vssm_gym.agents.shared.car.looking import Sight
+from vssm_gym.agents.shared.car.looking import MARGIN, Sight
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
@@ -41,7 +43,9 @@ from vssm_gym.planning.value_iteration import (
 ROUTE_MOTIONS = 120  # of the route at most: 16 m
 TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
+DRIVEN_SHARE = 0.5  # of the cells that it dared, from which on it has driven onto them: their edge it only passes
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
+WIDEST = 2  # cells around what it dares
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
 NONE: np.ndarray = np.zeros((0, 2), int)  # cells
 
@@ -61,7 +65,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (120, 160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 10.0)
+    unknown: tuple[float, float] = (1.5, 20.0)
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -85,25 +89,30 @@ class GrowingCritic:
         self._followed: CostToGo | None = None  # `aim` with the price of unseen space
         self._stale = False  # it has to be computed again at the next update
         self._patch: np.ndarray = NONE  # cells that it looks at first
-        self._dared: np.ndarray = np.zeros((0, 0), bool)  # cells that it may drive onto unseen
+        self._daring: np.ndarray = NONE  # cells that it may drive onto unseen
+        self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same, and room around them
+        self._vain: np.ndarray = np.zeros((0, 0), bool)  # cells that it has not seen from where it should have
+        self._failed = 0  # times in a row that it did not get on: what cannot be driven around is worth its risk
+        self._bold = False  # it may drive onto what it meets first, seen in time or not
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
-        self._unseen: np.ndarray  # the unknown cells among them that border on no known one, but for the dared ones
+        self._unseen: np.ndarray  # the unknown cells among them that border on no seen one
+        self._driven: np.ndarray = np.zeros((0, 0), bool)  # cells that became known as the car stood on them
         self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
         """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
         if self._used is None:
             self._place(plan, planar, 0)
-        self._cut(plan)
+        self._cut(plan, planar)
         self._waited += 1
         if not self._matters(self._plan[0], planar):
             return
         self._compute(planar)
         while self.value is None and self._side + 1 < len(self._config.sides):
             self._place(plan, planar, self._side + 1)
-            self._cut(plan)
+            self._cut(plan, planar)
             self._compute(planar)
 
     @property
@@ -111,19 +120,34 @@ class GrowingCritic:
         """Return True where the car is to look at something before it drives on."""
         return len(self._patch) > 0
 
+    def motions(self, planar: np.ndarray) -> float:
+        """Return how many motions are left from a pose to where the actor is led; infinite without a path."""
+        if self.aim is None:
+            return np.inf
+        share = max(1.0 - float(self.aim.at(jnp.asarray(planar))) / self.aim.never, 1e-9)  # gamma^motions
+        return float(np.log(share) / np.log(self.aim.gamma))
+
     def clearance(self) -> ClearanceMap:
         """Return the distance to what is occupied or unseen, which the actor has to keep."""
-        return self._distance(self._unseen)
+        return self._distance(self._unseen & ~self._dared)
 
     def dare(self, planar: np.ndarray) -> bool:
-        """Let the car drive onto the unseen cells that it meets first, or was to look at; False where none are."""
+        """Decide anew at the next update, as the car does not get on; unseen space is cheaper if little was seen since.
+
+        The car may drive onto the unseen cells that it meets first on the new route. What it was to look at from where
+        it already is, it looks at no more. False where it was to do neither.
+        """
         if self._followed is None:
             return False
-        patch = self._sight().met(descend(self._followed, planar, self._car)[:DARED])
-        patch = patch if len(patch) else self._patch
-        self._dare(patch)
-        self._stale = len(patch) > 0
-        return self._stale
+        met = self._sight(self._unseen).met(descend(self._followed, planar, self._car)[:DARED])
+        if not (len(met) or self.looks):
+            return False
+        if self._used is None or np.count_nonzero(self._plan[0] != self._used) < self._config.changed:
+            if not len(met):
+                self._vain[tuple(self._patch.T)] = True
+            self._failed, self._bold = self._failed + 1, True
+        self._stale = True
+        return True
 
     def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
         """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
@@ -149,10 +173,15 @@ class GrowingCritic:
         self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
-        self._dared = np.zeros((sides[side], sides[side]), bool)
+        self._dared, self._vain, self._driven = (np.zeros((sides[side], sides[side]), bool) for _ in range(3))
+        self._daring = NONE
 
-    def _cut(self, plan: FloorPlan) -> None:
-        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach."""
+    def _cut(self, plan: FloorPlan, planar: np.ndarray) -> None:
+        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach.
+
+        Next to a cell that was seen, an unknown one is counted as seen, too, but not next to one that is known only
+        because the car has stood on it: that border would follow a car that drives onto what it has not seen.
+        """
         n = self._config.sides[self._side]
         cells, occupancy = np.full((n, n), UNKNOWN, np.int8), np.full((n, n), -np.inf, np.float32)
         first = np.round((plan.origin - self._corner) / plan.resolution).astype(int)
@@ -160,8 +189,15 @@ class GrowingCritic:
         theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
         if all(s.stop > s.start for s in ours):
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
-        unseen = binary_erosion(cells == UNKNOWN, np.ones((3, 3), bool), border_value=1)
-        self._plan, self._unseen = (cells, occupancy), unseen & ~self._dared
+        under = footprint_cells(self._corner, self._resolution, planar, self._car)
+        under = under[np.all((under >= 0) & (under < n), axis=1)]
+        came = np.zeros((n, n), bool)
+        came[tuple(under.T)] = True
+        if self._used is not None and self._plan[0].shape == cells.shape:
+            self._driven |= came & (self._plan[0] == UNKNOWN) & (cells != UNKNOWN)
+        self._plan = cells, occupancy
+        shown = (cells != UNKNOWN) & ~self._driven
+        self._unseen = (cells == UNKNOWN) & ~binary_dilation(shown, np.ones((3, 3), bool))
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
@@ -171,6 +207,9 @@ class GrowingCritic:
         if (appeared & self._near).any():
             return True
         if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
+            return True
+        if len(self._daring) and (cells[tuple(self._daring.T)] == UNKNOWN).mean() < 1.0 - DRIVEN_SHARE:
+            self._failed = 0
             return True
         if self._waited < self._config.pause:
             return False
@@ -191,33 +230,36 @@ class GrowingCritic:
         self.value, self.status = result.cost_to_go, result.status
         self.aim, self._followed = None, self.value
         self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
+        self._dare(NONE)
+        bold, self._bold = self._bold, False
         self.computed, self._stale = self.computed + 1, False
         if self._followed is None:
             return
         route = descend(self._followed, planar, self._car)
-        patch = self._sight().blind(route)
+        hoped = self._sight(self._unseen & ~self._vain)
+        patch = hoped.blind(route)
         if len(patch):
-            shows = self._sight().viewpoints(patch, ValueConfig().n_headings)
+            shows = hoped.viewpoints(patch, ValueConfig().n_headings)
             look = self._best(counts, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start))
-            if look.cost_to_go is None:
-                self._dare(patch)
-            else:
+            if look.cost_to_go is not None:
                 self._followed, self._patch = look.cost_to_go, patch
                 route = descend(self._followed, planar, self._car)
-                self._dare(self._sight().blind(route))
+        sight = self._sight(self._unseen)
+        blind = sight.blind(route, 1)
+        self._dare(sight.met(route[:DARED]) if bold and not len(blind) else blind)
         self.aim = replace(self._followed, counts=None)
         self._near = self._around(route, nothing)
 
-    def _sight(self) -> Sight:
-        """Return what is seen from where on the newest plan."""
-        return Sight(self._plan[0] == OCCUPIED, self._unseen, self._corner, self._resolution, self._car)
+    def _sight(self, unseen: np.ndarray) -> Sight:
+        """Return what is seen from where on the newest plan, some of whose cells are unseen."""
+        return Sight(self._plan[0] == OCCUPIED, unseen, self._corner, self._resolution, self._car)
 
     def _dare(self, patch: np.ndarray) -> None:
-        """Let the actor drive onto a patch of cells, and two cells around it, as if they were seen."""
-        cells = np.zeros_like(self._dared)
-        cells[tuple(patch.T)] = True
-        self._dared |= binary_dilation(cells, iterations=2)
-        self._unseen = self._unseen & ~self._dared
+        """Let the actor drive onto a patch of cells as if they were seen; around it only where it failed to before."""
+        self._daring, self._dared = patch, np.zeros_like(self._dared)
+        self._dared[tuple(patch.T)] = True
+        if self._failed:
+            self._dared = binary_dilation(self._dared, iterations=min(self._failed, WIDEST))
 
     def _distance(self, also: np.ndarray) -> ClearanceMap:
         """Return the distance to what is occupied, and to the cells of ``also``."""
@@ -229,8 +271,9 @@ class GrowingCritic:
     def _counts(self) -> np.ndarray:
         """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
         headings = heading_grid(ValueConfig().n_headings)
-        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings)
-        return np.stack([np.where(over, count, 1.0) for count in self._config.unknown]).astype(np.float32)
+        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, MARGIN)
+        priced = [1.0 + 0.5**self._failed * (count - 1.0) for count in self._config.unknown]
+        return np.stack([np.where(over, count, 1.0) for count in priced]).astype(np.float32)
 
     def _best(
         self,

@@ -5,6 +5,8 @@ lies behind. Whether a route's unseen cells are seen before the car is there dep
 computed along the route: a cell is seen from a pose if it lies within the camera's angle and no obstacle is between.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from vssm_gym.geometry.car import Car
@@ -15,6 +17,7 @@ HALF_ANGLE = 0.7  # rad, of the view that is counted on: 5 degrees less than the
 SIGHT_FROM, SIGHT_TO = 0.1, 1.6  # m from the camera, within which a view shows a cell
 AHEAD = 12  # motions of a route that are examined: 1.6 m
 PATCH = 4  # motions from the first blind one on, whose unseen cells are looked at together
+MARGIN = 0.045  # m around the footprint that have to be seen, too: 3 cm around discs that stand out of it are kept free
 
 
 class Sight:
@@ -34,20 +37,25 @@ class Sight:
         self._occupied, self._unseen, self._car = occupied, unseen, car
         self._corner, self._resolution = corner, resolution
 
-    def blind(self, route: np.ndarray) -> np.ndarray:
-        """Return the unseen cells ``(n, 2)`` that the car would meet on a route ``(m, 3)`` without having seen them."""
+    def blind(self, route: np.ndarray, motions: int = PATCH) -> np.ndarray:
+        """Return the unseen cells ``(n, 2)`` that the car would meet on a route ``(m, 3)`` without having seen them.
+
+        They are those of so many ``motions``, the first blind one among them; none where there is no blind one.
+        """
         for k in range(1, min(len(route), AHEAD)):
             under = self.unseen_under(route[k])
-            if len(under) and not self.seen(route[1:k], under).all():
-                return np.unique(np.concatenate([self.unseen_under(z) for z in route[k : k + PATCH]]), axis=0)
+            if len(under) and not self.seen(between(route[: k + 1])[:-1], under).all():
+                return self._swept(route[k - 1 : k + motions])
         return np.zeros((0, 2), int)
 
     def met(self, route: np.ndarray) -> np.ndarray:
-        """Return the first unseen cells ``(n, 2)`` on a route, seen before the car is there or not."""
-        for k in range(len(route)):
-            if len(self.unseen_under(route[k])):
-                return np.unique(np.concatenate([self.unseen_under(z) for z in route[k : k + PATCH]]), axis=0)
-        return np.zeros((0, 2), int)
+        """Return the unseen cells ``(n, 2)`` of the first motion on a route that meets any, seen before or not."""
+        found = (self._swept(route[k : k + 2]) for k in range(len(route) - 1))
+        return next((cells for cells in found if len(cells)), np.zeros((0, 2), int))
+
+    def _swept(self, route: np.ndarray) -> np.ndarray:
+        """Return the unseen cells ``(n, 2)`` that the motions of a route meet, their beginning left out."""
+        return np.unique(np.concatenate([self.unseen_under(pose) for pose in between(route)]), axis=0)
 
     def seen(self, poses: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """Return which cells ``(n, 2)`` are seen from any of the poses ``(m, 3)``, ``(n,)`` bool."""
@@ -92,8 +100,8 @@ class Sight:
         return shows
 
     def unseen_under(self, planar: np.ndarray) -> np.ndarray:
-        """Return the unseen cells ``(n, 2)`` under the footprint at a pose."""
-        cells = footprint_cells(self._corner, self._resolution, planar, self._car)
+        """Return the unseen cells ``(n, 2)`` under the footprint at a pose, and within :data:`MARGIN` of it."""
+        cells = footprint_cells(self._corner, self._resolution, planar, self._car, MARGIN)
         cells = cells[np.all((cells >= 0) & (cells < self._unseen.shape), axis=1)]
         return cells[self._unseen[tuple(cells.T)]]
 
@@ -109,3 +117,9 @@ class Sight:
         cell = np.floor((points - self._corner) / self._resolution + 0.5).astype(int)
         cell = np.clip(cell, 0, np.array(hidden.shape) - 1)
         return ~hidden[cell[..., 0], cell[..., 1]].any(axis=1)
+
+
+def between(route: np.ndarray) -> np.ndarray:
+    """Return the poses ``(3 m - 3, 3)`` of a route ``(m, 3)`` at each third of a motion, the first pose left out."""
+    ends = np.column_stack([route[:, :2], np.unwrap(route[:, 2])])
+    return np.array([a + share * (b - a) for a, b in pairwise(ends) for share in (1.0 / 3.0, 2.0 / 3.0, 1.0)])

@@ -11,11 +11,12 @@ import numpy as np
 
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
-from vssm_gym.planning.car.footprint import Arena, collides
+from vssm_gym.planning.car.footprint import Arena, collides, overlaps
 
 BACK_SPEED = 0.25  # m/s, along the path that it came
 CREEP_SPEED = 0.15  # m/s
 CREEP_LENGTH = 0.15  # m that have to be free where it creeps
+BACK_REACH = 0.1  # m that have to be free where it backs up
 REMEMBERED = 120  # pieces of its path that it can drive back along: 3 m
 
 
@@ -130,3 +131,17 @@ def creeping(arena: Arena, planar: np.ndarray, car: Car) -> np.ndarray:
             if not any(collides(arena, pose, car) for pose in poses):
                 return np.array([sign * CREEP_SPEED, steering])
     return np.zeros(2)
+
+
+def leads_into(
+    cells: np.ndarray, origin: np.ndarray, resolution: float, planar: np.ndarray, command: np.ndarray, car: Car
+) -> bool:
+    """Return True where a command leads onto cells that are set within :data:`BACK_REACH`, from where none is.
+
+    Its path was free as the car came; the map that it has by now may say otherwise, and the car is not quite on it.
+    ``cells`` as of :func:`~vssm_gym.planning.car.footprint.overlaps`.
+    """
+    lengths = np.copysign(BACK_REACH, command[0]) * np.array([0.0, 0.5, 1.0])
+    poses = poses_after(planar[2], lengths, turn_of(lengths, float(command[1]), car.wheelbase), *planar[:2])
+    meets = [overlaps(cells, origin, resolution, pose, car) for pose in poses]
+    return not meets[0] and any(meets)
