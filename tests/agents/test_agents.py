@@ -45,7 +45,7 @@ ROBOT = HolonomicRobot()
 CAMERA = Camera.from_hfov(64, 48, math.radians(90.0))
 LOW = NOISE_LEVELS["low"]
 SEES = ["astar", "no_map"]  # agents that need images
-# Of the others: tests/agents/test_car_agents.py, tests/agents/test_explorers.py.
+# Of the others: tests/agents/car/test_car_agents.py, tests/agents/test_explorers.py.
 ON_FOOT = [
     name for name, agent in AGENTS.items() if agent.robot == "holonomic" and agent.task in ("pointgoal", ANY_TASK)
 ]

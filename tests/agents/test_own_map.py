@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from tests.agents import test_agents
-from tests.agents.test_car_agents import context
+from tests.agents.car.test_car_agents import context
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
 from vssm_gym.geometry.car import Car

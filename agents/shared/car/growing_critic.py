@@ -23,7 +23,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
-from vssm_gym.agents.shared.car.looking import MARGIN, Sight
+from vssm_gym.agents.shared.car.looking import SEEN_MARGIN, Sight
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
@@ -271,7 +271,7 @@ class GrowingCritic:
     def _counts(self) -> np.ndarray:
         """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
         headings = heading_grid(ValueConfig().n_headings)
-        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, MARGIN)
+        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, SEEN_MARGIN)
         priced = [1.0 + 0.5**self._failed * (count - 1.0) for count in self._config.unknown]
         return np.stack([np.where(over, count, 1.0) for count in priced]).astype(np.float32)
 

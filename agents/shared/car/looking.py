@@ -17,7 +17,9 @@ HALF_ANGLE = 0.7  # rad, of the view that is counted on: 5 degrees less than the
 SIGHT_FROM, SIGHT_TO = 0.1, 1.6  # m from the camera, within which a view shows a cell
 AHEAD = 12  # motions of a route that are examined: 1.6 m
 PATCH = 4  # motions from the first blind one on, whose unseen cells are looked at together
-MARGIN = 0.045  # m around the footprint that have to be seen, too: 3 cm around discs that stand out of it are kept free
+SEEN_MARGIN = 0.045  # m around the footprint that have to be seen: 3 cm around discs that stand out of it are kept free
+    0.045  # m around the footprint that have to be seen, too: 3 cm around discs that stand out of it are kept free
+)
 
 
 class Sight:
@@ -100,8 +102,8 @@ class Sight:
         return shows
 
     def unseen_under(self, planar: np.ndarray) -> np.ndarray:
-        """Return the unseen cells ``(n, 2)`` under the footprint at a pose, and within :data:`MARGIN` of it."""
-        cells = footprint_cells(self._corner, self._resolution, planar, self._car, MARGIN)
+        """Return the unseen cells ``(n, 2)`` under the footprint at a pose, and within :data:`SEEN_MARGIN` of it."""
+        cells = footprint_cells(self._corner, self._resolution, planar, self._car, SEEN_MARGIN)
         cells = cells[np.all((cells >= 0) & (cells < self._unseen.shape), axis=1)]
         return cells[self._unseen[tuple(cells.T)]]
 

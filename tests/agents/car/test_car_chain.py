@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from tests.agents.test_car_agents import FLOOR, SOLIDS
+from tests.agents.car.test_car_agents import FLOOR, SOLIDS
 from tests.helpers.box_rooms import furniture, two_rooms
 from tests.helpers.planning_worlds import voxel_map
 from vssm_gym.agents.base import AgentContext

@@ -156,7 +156,7 @@ def test_where_it_dares_the_unseen_is_no_obstacle_and_it_is_careful():
 
 
 def test_it_dares_one_motion_at_a_time():
-    """What lies behind the first blind motion stays an obstacle until that was driven; then it decides again."""
+    """Hold what lies behind the first blind motion for an obstacle until that was driven; then decide again."""
     critic = in_a_corner()
     first, beyond = np.array([0.98, 0.6]), np.array([0.6, 0.6])
     keeps = critic.clearance()

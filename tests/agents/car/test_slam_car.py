@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from tests.agents.test_car_agents import ROOMS, context, task
+from tests.agents.car.test_car_agents import ROOMS, context, task
 from vssm_gym.agents.car.slam_car import SlamCarAgent
 from vssm_gym.agents.shared.car.recovery import RESPONSES, Failure, Response
 from vssm_gym.errors import InputError
