@@ -18,8 +18,6 @@ SIGHT_FROM, SIGHT_TO = 0.1, 1.6  # m from the camera, within which a view shows 
 AHEAD = 12  # motions of a route that are examined: 1.6 m
 PATCH = 4  # motions from the first blind one on, whose unseen cells are looked at together
 SEEN_MARGIN = 0.045  # m around the footprint that have to be seen: 3 cm around discs that stand out of it are kept free
-    0.045  # m around the footprint that have to be seen, too: 3 cm around discs that stand out of it are kept free
-)
 
 
 class Sight:
