@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.agents.shared.car.looking import HALF_ANGLE, MARGIN, SIGHT_TO, Sight, between
+from vssm_gym.agents.shared.car.looking import HALF_ANGLE, SEEN_MARGIN, SIGHT_TO, Sight, between
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
@@ -55,7 +55,7 @@ def test_what_a_car_meets_unseen(unseen, steering, ahead, blind):
     assert (len(patch) > 0) == blind
     assert unseen[tuple(patch.T)].all()
     if blind:
-        swept = np.concatenate([footprint_cells(CORNER, CELL, pose, CAR, MARGIN) for pose in between(path)])
+        swept = np.concatenate([footprint_cells(CORNER, CELL, pose, CAR, SEEN_MARGIN) for pose in between(path)])
         assert set(map(tuple, patch)) <= set(map(tuple, swept))
         assert not view.seen(path[1:2], patch).all()
         first = view.blind(path, 1)
