@@ -114,7 +114,7 @@ class SlamImageAgent:
             decision = self._drive_to(best, decision)
         elif self._match is not None:
             decision = self._at_match(decision, observation) if ended else decision
-        elif ended or self._frontiers.is_seen(plan):
+        elif ended or self._frontiers.is_seen(plan) or self._views.is_seen(self._search.places, self._search.shares):
             decision = self._at_viewpoint(decision, plan, ended)
         return self._completed(decision, decision.status.startswith(NOWHERE))
 

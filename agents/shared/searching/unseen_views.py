@@ -3,7 +3,10 @@
 A floor plan without frontiers says that the floor is known, and nothing of walls that no image has shown. The
 panoramas of :class:`~vssm_gym.agents.shared.searching.picture_search.PictureSearch` say which views are not in the map:
 
-    place = argmax_p V(p) exp(-lambda (d(p) + c |turn|))      V: headings at p whose view is unseen
+    (p, h) = argmax V(p, h) exp(-lambda (d(p) + c (|b(p)| + |h - b(p)|)))
+
+``V`` counts the unseen headings at the place p that an image with the heading h shows, ``d`` is the path length to p, and
+``b`` the bearing of p: the robot turns to where it drives, and once more where it looks.
 """
 
 import math
@@ -13,6 +16,9 @@ import numpy as np
 
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.exploration.candidates import Roadmap
+
+SAME_PLACE = 0.01  # m
+STAYS = 0.3  # m, from which on the robot turns to where it drives
 
 
 @dataclass(frozen=True)
@@ -53,19 +59,30 @@ class UnseenViews:
         for pose in self._looked:
             near = np.hypot(*(places - pose[:2]).T) < c.near
             unseen[np.ix_(near, np.abs(wrap_angle(headings - pose[2])) < c.window)] = False
-        count = unseen.sum(axis=1)
-        away = roadmap.at(roadmap.distance, places)
-        x, y = (places - planar[:2]).T
-        turns = np.where(np.hypot(x, y) > 0.3, np.abs(wrap_angle(np.arctan2(y, x) - planar[2])), 0.0)
-        value = count * np.exp(-c.decay * (away + c.turn * turns))
-        value[count * 2.0 * math.pi / columns < c.least] = 0.0
-        best = int(np.argmax(value))
-        if not value[best] > 0.0:
-            return None
         around = np.abs(wrap_angle(headings[:, None] - headings[None, :])) < c.window
-        heading = headings[int(np.argmax(around.astype(int) @ unseen[best]))]
-        self.chosen = np.array([*places[best], heading])
+        shown = unseen.astype(np.float32) @ around.astype(np.float32)
+        shown[unseen.sum(axis=1) * 2.0 * math.pi / columns < c.least] = 0.0
+        x, y = (places - planar[:2]).T
+        bearing = np.where(np.hypot(x, y) > STAYS, np.arctan2(y, x), planar[2])
+        turns = np.abs(wrap_angle(bearing - planar[2]))[:, None] + np.abs(wrap_angle(headings - bearing[:, None]))
+        value = shown * np.exp(-c.decay * (roadmap.at(roadmap.distance, places)[:, None] + c.turn * turns))
+        best, column = np.unravel_index(int(np.argmax(value)), value.shape)
+        if not value[best, column] > 0.0:
+            return None
+        self.chosen = np.array([*places[best], headings[column]])
         return places[best]
+
+    def is_seen(self, places: np.ndarray, shares: np.ndarray) -> bool:
+        """Return True where the map shows by now what the chosen view was to show; arguments as of :meth:`choose`."""
+        if self.chosen is None or not len(places):
+            return False
+        away = np.hypot(*(places - self.chosen[:2]).T)
+        if away.min() > SAME_PLACE:
+            return False
+        columns = shares.shape[1]
+        within = np.abs(wrap_angle(2.0 * math.pi * np.arange(columns) / columns - self.chosen[2])) < self._config.window
+        unseen = np.count_nonzero(shares[int(away.argmin()), within] < self._config.share)
+        return bool(unseen * 2.0 * math.pi / columns < self._config.least)
 
     def close(self) -> None:
         """End the choice: the robot has looked, or cannot."""

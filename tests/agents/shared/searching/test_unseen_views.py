@@ -48,6 +48,26 @@ def test_a_map_that_shows_all_but_gaps_has_no_unseen_view(unseen):
     assert UnseenViews(CONFIG).choose(PLACES, shown(unseen), ROADMAP, HERE) is None
 
 
+def test_of_two_headings_that_show_as_much_the_nearer_one_is_looked_at():
+    """Both turns count, to where the robot drives and to where it looks: it arrives at (3, 3) with 45 degrees."""
+    for first, last in ((1.2, 2.0), (4.9, 5.7)):
+        shares = np.minimum(shown({2: (first, last)}), shown({2: (2.6, 3.4)}))
+        views = UnseenViews(CONFIG)
+        views.choose(PLACES, shares, ROADMAP, HERE)
+        assert views.chosen is not None
+        assert abs(float(wrap_angle(views.chosen[2] - 0.5 * (first + last)))) < CONFIG.window
+
+
+def test_a_view_is_seen_once_the_map_shows_it_from_elsewhere():
+    views, unseen = UnseenViews(CONFIG), shown({2: (1.0, 2.0)})
+    assert not views.is_seen(PLACES, unseen)  # none is chosen
+    views.choose(PLACES, unseen, ROADMAP, HERE)
+    assert not views.is_seen(PLACES, unseen)
+    assert not views.is_seen(np.empty((0, 2)), np.empty((0, COLUMNS)))
+    assert not views.is_seen(PLACES[:2], shown({})[:2])  # the place is not among those that are compared
+    assert views.is_seen(PLACES, shown({2: (1.0, 1.3)}))
+
+
 def test_places_out_of_reach_are_not_chosen():
     cut = replace(ROADMAP, distance=np.full_like(ROADMAP.distance, np.inf))
     assert UnseenViews(CONFIG).choose(PLACES, shown({0: (1.0, 2.0)}), cut, HERE) is None
