@@ -12,6 +12,7 @@ import numpy as np
 
 from vssm_gym.agents.shared.strategy import Choice, Situation, around
 from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.planning.exploration.building_prior import expected_surfaces
 from vssm_gym.planning.exploration.frontier import frontiers, seen_unknown
 
 
@@ -22,7 +23,8 @@ class FrontierGainConfig:
     decay: float = 0.2  # lambda, 1/m, as published
     turn: float = 0.0  # c, m of path that a turn by a radian costs as much as
     least: float = 0.0  # m^2 in sight of a frontier, of which less is not worth a drive
-    hazard: float = 0.0  # 1/m, of surfaces in unknown space
+    # 1/m, of surfaces in unknown space: in the building's outline, and beyond. As published there are none.
+    hazard: tuple[float, float] = (0.0, 0.0)
 
 
 class FrontierGain:
@@ -40,7 +42,8 @@ class FrontierGain:
         found = frontiers(plan, situation.roadmap.distance, dismissed=situation.dismissed)
         if not found:
             return None
-        seen = seen_unknown(plan, np.array([frontier.goal for frontier in found]), self._config.hazard)
+        hazard = expected_surfaces(plan, *self._config.hazard)
+        seen = seen_unknown(plan, np.array([frontier.goal for frontier in found]), hazard)
         area = seen.sum(axis=1) * plan.resolution**2
         away = np.array([frontier.distance for frontier in found])
         x, y = np.array([frontier.goal for frontier in found]).T - situation.planar[:2, None]
