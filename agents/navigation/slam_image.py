@@ -31,7 +31,14 @@ from vssm_gym.model.emission import RGBD
 from vssm_gym.planning.floor_plan import FloorPlan
 
 # Where no path leads to a place there are others to drive to.
-CONFIG = replace(SLAM_NAV, responses={**IN_OWN_MAP, Failure.NO_PATH: (Response.LOOK_AGAIN,)})
+# A turn by a radian takes as long as 0.8 m of driving, and unseen views show what lies behind small frontiers.
+FRONTIERS = FrontierGainConfig(decay=0.3, turn=0.8, least=0.5, hazard=(0.25, 3.0))
+# It drives as it turns, because time is short, and not the path.
+CONFIG = replace(
+    SLAM_NAV,
+    responses={**IN_OWN_MAP, Failure.NO_PATH: (Response.LOOK_AGAIN,)},
+    following=replace(SLAM_NAV.following, arc=1.0),
+)
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,9 @@ class ImageGoalConfig:
     """Configure the search, and which of its matches are believed; lengths in metres."""
 
     search: PictureSearchConfig = field(default_factory=PictureSearchConfig)
-    # A turn by a radian takes as long as 0.8 m of driving, and unseen views show what lies behind small frontiers.
-    frontiers: FrontierGainConfig = field(default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8, least=1.0))
+    frontiers: FrontierGainConfig = field(
+        default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8, least=0.5, hazard=(0.25, 3.0))
+    )
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
     views: UnseenViewsConfig = field(default_factory=UnseenViewsConfig)
     # Likelihood (nats a pixel that the map shows) and correlation of image and map, for which exploration is

@@ -15,6 +15,7 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.geometry.axes import DirectionFrame
+from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.clearance_requirement import requirement_from
 from vssm_gym.planning.grid_search.path_shortening import shorten_path
@@ -36,6 +37,7 @@ class FollowingConfig:
     tries: int = 4  # blocked steps within ``blocked_radius`` after which a goal is given up
     blocked_radius: float = 0.5
     bend_passed: float = BEND_PASSED  # distance at which a bend counts as passed
+    arc: float = 0.0  # rad off its path, up to which the robot drives as it turns; 0: it turns in place
     retreat: float = 0.15  # length of the step to where there is more room, when no other step is possible
 
 
@@ -116,7 +118,25 @@ class Follower:
         """
         passed = BEND_PASSED if exact else self.config.bend_passed
         command = steer(planar, planned.path, self.limits, self.direction_frame, passed)
+        if command[2] == 0.0 and (arc := self._arc(command, planned.path, planar)) is not None:
+            turn, careful = command[0], self._careful(planned, planar, arc, near, failures, std)
+            return np.array([turn, *careful[1:]]) if careful[2] > 0.0 else command
         return self._careful(planned, planar, command, near, failures, std) if command[2] > 0.0 else command
+
+    def _arc(self, command: np.ndarray, path: np.ndarray, planar: np.ndarray) -> np.ndarray | None:
+        """Return a turn in place with a step ahead; None where the robot looks too far off, or the bend is too near."""
+        max_turn, max_offset, max_step = self.limits
+        to = path[1:] - planar[:2]
+        far = np.flatnonzero(np.hypot(*to.T) > BEND_PASSED)
+        if not (command[0] and len(far)):
+            return None
+        x, y = to[far[0]]
+        off = float(wrap_angle(math.atan2(y, x) - planar[2]))
+        # A step s saves s cos(off) / max_step steps of driving, and costs s sin(off) / (distance max_turn) of turning.
+        if abs(off) > self.config.arc or math.hypot(x, y) * max_turn < max_step * math.tan(abs(off)):
+            return None
+        step = min(max_step, math.hypot(x, y)) * math.cos(off)
+        return np.array([command[0], math.copysign(max_offset, off), step])
 
     def _careful(
         self,

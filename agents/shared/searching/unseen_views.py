@@ -5,8 +5,8 @@ panoramas of :class:`~vssm_gym.agents.shared.searching.picture_search.PictureSea
 
     (p, h) = argmax V(p, h) exp(-lambda (d(p) + c (|b(p)| + |h - b(p)|)))
 
-``V`` counts the unseen headings at the place p that an image with the heading h shows, ``d`` is the path length to p, and
-``b`` the bearing of p: the robot turns to where it drives, and once more where it looks.
+``V`` counts the unseen headings at the place p that an image with the heading h shows, ``d`` is the path length to p,
+and ``b`` the bearing of p: the robot turns to where it drives, and once more where it looks.
 """
 
 import math
