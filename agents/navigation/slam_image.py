@@ -32,7 +32,7 @@ from vssm_gym.planning.floor_plan import FloorPlan
 
 # Where no path leads to a place there are others to drive to.
 # A turn by a radian takes as long as 0.8 m of driving, and unseen views show what lies behind small frontiers.
-FRONTIERS = FrontierGainConfig(decay=0.3, turn=0.8, least=0.5, hazard=(0.25, 3.0))
+FRONTIERS = FrontierGainConfig(decay=0.7, turn=0.8, least=0.5, hazard=(0.25, 3.0))
 # It drives as it turns, because time is short, and not the path.
 CONFIG = replace(
     SLAM_NAV,
@@ -46,9 +46,7 @@ class ImageGoalConfig:
     """Configure the search, and which of its matches are believed; lengths in metres."""
 
     search: PictureSearchConfig = field(default_factory=PictureSearchConfig)
-    frontiers: FrontierGainConfig = field(
-        default_factory=lambda: FrontierGainConfig(decay=0.3, turn=0.8, least=0.5, hazard=(0.25, 3.0))
-    )
+    frontiers: FrontierGainConfig = FRONTIERS
     near: float = 0.25  # radius around a place within which the robot stops: matches err, too
     views: UnseenViewsConfig = field(default_factory=UnseenViewsConfig)
     # Likelihood (nats a pixel that the map shows) and correlation of image and map, for which exploration is
@@ -56,8 +54,7 @@ class ImageGoalConfig:
     clear: tuple[float, float] = (3.5, 0.6)
     doubtful: tuple[float, float] = (2.0, 0.5)
     share: float = 0.4  # of the image that the map shows
-    moved: float = 0.15  # by which a match that is aligned anew at its place must move, to be driven to again
-    corrections: int = 3  # at most, of a match
+    corrections: int = 3  # drives at most to a match that was aligned anew at its place
     most_turns: int = 40  # steps of turning at a place: a noisy robot may not get nearer
 
 
@@ -115,7 +112,8 @@ class SlamImageAgent:
         self.plan = plan = self._surroundings.floor_plan()
         self._search.step(self.map, plan)
         decision.latency["search"] = time.perf_counter() - began
-        ended = bool(decision.action[3] > 0.5)
+        # Where the robot has begun to turn it has arrived, however its estimate changes by turning.
+        ended = bool(decision.action[3] > 0.5) or self._turns > 0
         c = self._config
         if (best := self._search.matches.best(*c.clear, c.share, than=self._match)) is not None:
             self._corrections = 0
@@ -137,10 +135,10 @@ class SlamImageAgent:
                 return self._instead(decision, command, "turns to where the image looked")
             again = self._search.align(self.map, [match.planar])
             image = RGBD.from_camera(observation["rgb"], observation["depth"])
-            if again and self._search.agrees(image, self._navigator.estimate.planar, match.planar):
-                moved = math.hypot(*(again[0].planar[:2] - match.planar[:2]))
-                if moved <= c.moved or self._corrections >= c.corrections:
-                    return decision
+            if again and self._search.agrees(image, self._navigator.estimate.planar, again[0].planar):
+                away = math.hypot(*(again[0].planar[:2] - self._navigator.estimate.planar[:2]))
+                if away <= c.near or self._corrections >= c.corrections:
+                    return self._arrived(decision)
                 self._corrections += 1
                 return self._drive_to(again[0], decision)
         self._search.matches.refute(match)
@@ -193,6 +191,9 @@ class SlamImageAgent:
 
     def _with_goal(self, observation: Observation) -> dict[str, np.ndarray]:
         return {**observation, "goal": self._place}
+
+    def _arrived(self, decision: Decision) -> Decision:
+        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status="arrived")
 
     def _turned(self, heading: float) -> np.ndarray | None:
         """Return the turn to a heading; None where the robot has it, or has turned for long enough."""

@@ -49,7 +49,10 @@ class PictureSearchConfig:
     every: int = 4  # steps between two alignments
     candidates: int = 3  # poses that are aligned at once
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
-    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=32))
+    # A cell that the map does not show costs what cells of the best wrong places cost: a true place of which the map
+    # shows half is among the best then.
+    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=32, unseen=0.6))
+    shown: float = 0.35  # share of a view that the map shows, from which on it is a candidate
     matches: MatchesConfig = field(default_factory=MatchesConfig)
     # Of a camera image at the picture's place: mean residual of the colours in standard deviations, at most;
     # correlation and share of what the picture shows of it, at least.
@@ -148,7 +151,8 @@ class PictureSearch:
     def _candidates(self) -> list[np.ndarray]:
         """Return the poses of the highest scores that are apart and have not been aligned with that score."""
         c = self._config
-        best = peaks(self._scores, self.places, c.cylinder.step, c.comparison)
+        scores = np.where(self.shares >= c.shown, self._scores, -np.inf)
+        best = peaks(scores, self.places, c.cylinder.step, c.comparison)
         due = [at for at in best if self._aligned.get(at) != self._scores[at]][: c.candidates]
         self._aligned.update((at, float(self._scores[at])) for at in due)
         return [planar_of(self.places[place], heading * c.cylinder.step, self._rig) for place, heading in due]
@@ -157,7 +161,11 @@ class PictureSearch:
         """Render the panoramas that are due most, and compare them with the picture; return False where none is."""
         c = self._config
         known = self._known_around(m)
-        due = np.where(self._is_free(plan), known - self._known, -np.inf)
+        # Where a panorama shows all there is, nothing that becomes known changes it.
+        unseen = np.ones(known.shape)
+        looked = self._row >= 0
+        unseen[looked] = 1.0 - self.shares[self._row[looked]].mean(axis=1)
+        due = np.where(self._is_free(plan), unseen * (known - self._known), -np.inf)
         chosen = np.argsort(-due, axis=None, kind="stable")[: c.panoramas]
         chosen = chosen[due.reshape(-1)[chosen] >= c.least]
         if not len(chosen):
