@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import shapely
 
-from tests.agents.test_agents import CAMERA, FLOOR, WALL, context, learned, observe
+from tests.agents.test_agents import CAMERA, FLOOR, TABLE, WALL, context, learned, observe
 from tests.helpers.planning_worlds import voxel_map
 from vssm_gym.agents.shared.searching.picture_matches import Match, Matches
 from vssm_gym.agents.shared.searching.picture_search import PictureSearch, PictureSearchConfig
+from vssm_gym.inference.relocalisation.panoramas import Panoramas
 from vssm_gym.maps.columns import BODY_HEIGHTS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
@@ -79,6 +81,31 @@ def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learn
     for _ in range(CONFIG.every):
         found.step(learned, FloorPlan.of(learned, *BODY_HEIGHTS))
     assert not calls
+
+
+def test_half_of_a_view_is_enough_to_be_found(learned):
+    """The map shows half of what the picture does."""
+    half = voxel_map(FLOOR, [(WALL, 0.0, 1.0), (TABLE, 0.0, 0.7)], observed=lambda x, y, z: (x > 2.6) & (y < 1.6))
+    best = searched(half, observe(TAKEN, TAKEN[:2], learned)["rgb"], 20).matches.best(3.5, 0.6, 0.4)
+    assert best is not None
+    assert best.is_near(TAKEN, 0.1, 0.1)
+    assert best.share < 0.6
+
+
+def test_places_from_which_most_is_unseen_are_rendered_first(monkeypatch):
+    """Of a room all is known, of another one behind a wall only what is low; then all of that becomes known, too."""
+    wall = [(shapely.box(2.45, 0.0, 2.55, 3.0), 0.0, 2.5)]
+    low, whole = voxel_map(FLOOR, wall, observed=lambda x, y, z: (x < 2.5) | (z < 0.6)), voxel_map(FLOOR, wall)
+    search, rendered, render = searched(low, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)), [], Panoramas.of
+    monkeypatch.setattr(
+        "vssm_gym.agents.shared.searching.picture_search.Panoramas.of",
+        lambda m, cylinder, places, *rest: rendered.append(places) or render(m, cylinder, places, *rest),
+    )
+    east, plan = int((search.places[:, 0] > 2.5).sum()), FloorPlan.of(whole, *BODY_HEIGHTS)
+    assert 50 < east < len(search.places) - 50
+    while sum(map(len, rendered)) < 0.9 * east:
+        search.step(whole, plan)
+    assert (np.concatenate(rendered)[:, 0] > 2.5).all()
 
 
 def test_the_camera_agrees_with_the_picture_at_its_place_alone(found, learned):
