@@ -33,11 +33,11 @@ from vssm_gym.planning.floor_plan import FloorPlan
 # Where no path leads to a place there are others to drive to.
 # A turn by a radian takes as long as 0.8 m of driving, and unseen views show what lies behind small frontiers.
 FRONTIERS = FrontierGainConfig(decay=0.7, turn=0.8, least=0.5, hazard=(0.25, 3.0))
-# It drives as it turns, because time is short, and not the path.
+ARC = 1.0  # rad off its path, up to which it drives as it turns: its time is short, and not its path
 CONFIG = replace(
     SLAM_NAV,
     responses={**IN_OWN_MAP, Failure.NO_PATH: (Response.LOOK_AGAIN,)},
-    following=replace(SLAM_NAV.following, arc=1.0),
+    following=replace(SLAM_NAV.following, arc=ARC),
 )
 
 

@@ -93,7 +93,7 @@ def test_half_of_a_view_is_enough_to_be_found(learned):
 
 
 def test_places_from_which_most_is_unseen_are_rendered_first(monkeypatch):
-    """Of a room all is known, of another one behind a wall only what is low; then all of that becomes known, too."""
+    """One of two rooms is known, of the other only what is low, until all of it becomes known, too."""
     wall = [(shapely.box(2.45, 0.0, 2.55, 3.0), 0.0, 2.5)]
     low, whole = voxel_map(FLOOR, wall, observed=lambda x, y, z: (x < 2.5) | (z < 0.6)), voxel_map(FLOOR, wall)
     search, rendered, render = searched(low, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)), [], Panoramas.of
