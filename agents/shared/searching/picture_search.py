@@ -1,8 +1,8 @@
 """Search a map that grows for the place where a picture was taken, a little at every step.
 
 A grid of places covers what the map shows to be free. In each step the panoramas of a few places are rendered, of those
-around which most has become known since their last one, and compared with the picture (eq. I43 by colours alone). Now
-and then the best poses so far are aligned to the picture in the map of that moment (eq. I46) and weighed by
+around which most has become known that their last one did not show, and compared with the picture (eq. I43 by colours
+alone). Now and then the best poses so far are aligned to the picture in the map of that moment (eq. I46) and weighed by
 
     rho = corr(luminance of the picture, luminance of the map)      over the share of the picture that the map shows
 
