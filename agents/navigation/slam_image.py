@@ -193,7 +193,8 @@ class SlamImageAgent:
         return {**observation, "goal": self._place}
 
     def _arrived(self, decision: Decision) -> Decision:
-        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status="arrived")
+        status = f"arrived; localization: {self._navigator.estimate.status}"
+        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=status)
 
     def _turned(self, heading: float) -> np.ndarray | None:
         """Return the turn to a heading; None where the robot has it, or has turned for long enough."""
