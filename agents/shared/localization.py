@@ -5,7 +5,8 @@ the learned map, alignment to the previous camera image (the tracker of TNP-SM a
 with). What a filter estimates is judged by :mod:`vssm_gym.agents.shared.trust`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -17,6 +18,7 @@ from vssm_gym.agents.base import AgentContext, Observation
 from vssm_gym.agents.shared.map_index import MapIndex, rig_of
 from vssm_gym.agents.shared.trust import Judged, JudgedFilter
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.inference.filter import KNOWN_START_STD, Filter
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.inference.status import Status
@@ -36,7 +38,8 @@ class Localization:
         status: of the filter's last step, as judged.
         lost: steps in a row without an estimate that may be believed; 0 where this one may.
         covariance: ``(3, 3)`` of forward, left (m) and turn (rad) in the body frame, of the pose in the world: with the
-            drift of a map that the agent builds itself. None where the pose is observed.
+            drift of a map that the agent builds itself, or the error of a map that was made at estimated poses. None
+            where the pose is observed.
     """
 
     planar: np.ndarray
@@ -102,12 +105,13 @@ class FilteredPose:
             chained = not (self._entry.needs_map or self._entry.maps)
             find = partial(self._index.relocaliser, context) if self._entry.needs_map else None
             self._judged = JudgedFilter(self._filter, self._state, self._dt, observation, chained, relocaliser=find)
+        self._displaced = _displacement(context) if self._entry.needs_map else None
         return localization(known_start(context, self._entry.blind), Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
         """Run one step of the filter, and judge it; without images there is nothing to judge."""
         if self._judged is not None:
-            return localized(self._judged.step(command, observation))
+            return localized(self._judged.step(command, observation), self._displaced)
         control = jnp.asarray(command, jnp.float32)
         self._state, info = self._filter.step(self._state, control, self._image(observation), self._dt)
         return localization(info.belief, info.status)
@@ -154,9 +158,36 @@ def localization(
     return Localization(mean, np.sqrt(variances), status, lost, 0.5 * (covariance + covariance.T))
 
 
-def localized(judged: Judged) -> Localization:
-    """Return a judged estimate as agents use it."""
-    return localization(judged.belief, judged.status, judged.lost, judged.in_world)
+def localized(judged: Judged, displaced: Callable[[np.ndarray], np.ndarray] | None = None) -> Localization:
+    """Return a judged estimate as agents use it.
+
+    Args:
+        judged: the estimate in a map.
+        displaced: returns the covariance of that map's own error at a pose; None: the map is true, or the agent's own.
+    """
+    found = localization(judged.belief, judged.status, judged.lost, judged.in_world)
+    if displaced is None or found.covariance is None:
+        return found
+    return replace(found, covariance=found.covariance + displaced(found.planar))
+
+
+def _displacement(context: AgentContext) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return the covariance of a known map's error at a pose, ``(3, 3)`` in its body frame; None for true poses."""
+    errors = None if context.map is None else context.map.pose_errors
+    if errors is None:
+        return None
+    height = float(context.T_body_cam[2, 3])  # what the camera sees shows where the robot is
+
+    def displaced(planar: np.ndarray) -> np.ndarray:
+        p_world = jnp.asarray([planar[0], planar[1], height], jnp.float32)
+        R = planar_to_matrix(np.asarray(planar, float))[:3, :3]
+        P = np.asarray(_planar_covariance(errors, p_world), float)
+        return R.T @ P @ R
+
+    return displaced
+
+
+_planar_covariance = jax.jit(lambda errors, p_world: errors.planar_covariance(p_world))
 
 
 _arrays = jax.jit(lambda belief, stated: (belief.mean, jnp.diagonal(world_covariance(belief)), stated))

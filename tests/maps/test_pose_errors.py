@@ -52,6 +52,18 @@ def test_the_variance_is_that_of_the_dense_covariance() -> None:
     np.testing.assert_allclose(np.asarray(found), oracle_variance(POINTS, normal), rtol=1e-3)
 
 
+def test_a_robots_error_is_the_displacement_of_the_map_around_it() -> None:
+    given, p = errors(), np.array([1.0, 0.4, 0.3])
+    P = np.asarray(given.planar_covariance(jnp.asarray(p, jnp.float32)), float)
+    for axis in range(2):
+        np.testing.assert_allclose(P[axis, axis], oracle_variance(p[None], np.eye(3)[axis]), rtol=1e-3)
+    draws = jax.vmap(lambda key: given.draw(key))(jax.random.split(jax.random.key(1), 4000))
+    u = np.asarray(jax.vmap(lambda drawn: given.displacement(jnp.asarray(p, jnp.float32), drawn))(draws), float)
+    xi = np.cumsum(np.einsum("kij,nkj->nki", np.asarray(given.root, float), np.asarray(draws, float)), axis=1)
+    turn = xi[..., 5] @ oracle_weights(p[None])[0]
+    np.testing.assert_allclose(P, np.cov(np.column_stack([u[:, :2], turn]).T), rtol=0.1, atol=0.02 * P[0, 0])
+
+
 def test_drawn_displacements_have_the_stated_variance() -> None:
     given, normal = errors(), np.array([0.36, 0.48, 0.8])
     keys = jax.random.split(jax.random.key(0), 4000)

@@ -1,5 +1,7 @@
 """Test samples of the map: moments of their surfaces against the stated law, walls that stay walls, moved poses."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -142,7 +144,9 @@ def test_errors_of_poses_move_the_whole_room() -> None:
     T = jnp.asarray(camera_pose((0.0, 0.0, 0.0), 0.0), jnp.float32)[None]
     xi = jnp.array([0.05, 0.02, 0.0, 0.0, 0.0, 0.035])
     errors = PoseErrors(T, jnp.diag(xi)[None], jnp.ones(1), Camera.from_hfov(64, 48, np.radians(90)))
-    sample = deform(m, Coefficients(jnp.zeros((FIELDS, 4 * FREQUENCIES)), jnp.ones((1, 6))), READING, errors)
+    displaced = replace(m, pose_errors=errors)
+    sample = deform(displaced, Coefficients(jnp.zeros((FIELDS, 4 * FREQUENCIES)), jnp.ones((1, 6))), READING)
+    assert sample.pose_errors is None
     y = np.arange(-0.8, 0.8, 0.05)
     moved = np.asarray(se3_exp(xi), float)
     mean = np.stack([np.full_like(y, PLACE), y, np.full_like(y, 0.11)], axis=-1) @ moved[:3, :3].T + moved[:3, 3]

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,16 +111,17 @@ def test_a_draw_is_a_state_and_a_map(kind: str, storage: str) -> None:
 @pytest.mark.parametrize("storage", ["dense", "sparse"])
 def test_the_maps_density_belongs_to_its_samples(storage: str) -> None:
     """``log N(0, 1)`` of every coefficient, and these coefficients make the map of the draw."""
-    posterior = eqx.tree_at(lambda p: p.pose_errors, made("planar", storage), walk(), is_leaf=lambda x: x is None)
+    posterior = eqx.tree_at(lambda p: p.map.pose_errors, made("planar", storage), walk(), is_leaf=lambda x: x is None)
     draw = posterior.sample(jax.random.key(1))
     assert draw.map is not None
     assert draw.coefficients is not None
     e = np.concatenate([np.asarray(a, float).ravel() for a in draw.coefficients])
     assert e.size == 6 * 256 + 2 * 6
     np.testing.assert_allclose(float(posterior.log_prob(draw).map), norm.logpdf(e).sum(), rtol=1e-5)
-    again = deform(posterior.map, draw.coefficients, posterior.measurement_noise, posterior.pose_errors)
+    again = deform(posterior.map, draw.coefficients, posterior.measurement_noise)
     np.testing.assert_allclose(np.asarray(again.occupancy), np.asarray(draw.map.occupancy), atol=1e-6)
-    true = deform(posterior.map, draw.coefficients._replace(poses=jnp.zeros((0, 6))))
+    exact = replace(posterior.map, pose_errors=None)
+    true = deform(exact, draw.coefficients._replace(poses=jnp.zeros((0, 6))))
     assert np.abs(np.asarray(true.occupancy) - np.asarray(draw.map.occupancy)).max() > 1e-3
 
 
@@ -208,12 +210,13 @@ def test_saved_posteriors_are_read_back(tmp_path: Path, kind: str, storage: str)
 
 def test_errors_of_poses_are_saved_with_the_map(tmp_path: Path) -> None:
     path = tmp_path / "posterior.npz"
-    Posterior(belief("planar"), tiny_map("dense"), pose_errors=walk()).save(path)
-    again = Posterior.load(path).pose_errors
-    assert again is not None
-    np.testing.assert_allclose(np.asarray(again.root), np.asarray(walk().root), rtol=1e-6)
+    Posterior(belief("planar"), replace(tiny_map("dense"), pose_errors=walk())).save(path)
+    for again in (Posterior.load(path).map, VoxelMap.load(path)):
+        assert again is not None
+        assert again.pose_errors is not None
+        np.testing.assert_allclose(np.asarray(again.pose_errors.root), np.asarray(walk().root), rtol=1e-6)
     made("planar", "dense").save(path)
-    assert Posterior.load(path).pose_errors is None
+    assert VoxelMap.load(path).pose_errors is None
 
 
 def assert_refused(path: Path, field: str = "") -> None:

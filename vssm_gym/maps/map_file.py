@@ -7,7 +7,7 @@ of their blocks.
 import hashlib
 import json
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ class StoredMap:
     arrays: dict[str, np.ndarray]  # BELIEF, origin, voxel_size; float32
     stored: np.ndarray | None = None  # ascending block numbers of the rows; None: all blocks
     slots: int = 0  # capacity of a block-sparse map
+    header: dict[str, Any] = field(default_factory=dict)  # of a file that was read: format, version, metadata
 
 
 def write(path: str | Path, m: StoredMap, metadata: dict[str, Any]) -> None:
@@ -80,7 +81,7 @@ def read(path: str | Path) -> StoredMap:
                 raise InputError(path, name, f"floats of shape {shape}; found {stored.shapes[name]}")
         arrays = {name: as_float32(stored.read(name), path, name, positive=name in _POSITIVE) for name in shapes}
     _check_extent(path, blocks, arrays)
-    return StoredMap(blocks, arrays, listed, slots)
+    return StoredMap(blocks, arrays, listed, slots, header)
 
 
 def _opened(path: str | Path) -> AbstractContextManager[StoredArrays]:

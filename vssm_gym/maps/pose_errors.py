@@ -145,11 +145,24 @@ class PoseErrors(eqx.Module):
 
     def variance(self, p_world: Float[Array, "*batch 3"], normal: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Return ``var(n . u(p))`` of points along unit normals, m^2 (eq. M12)."""
+        lever = jnp.concatenate([normal, jnp.cross(p_world, normal)], axis=-1)
+        return jnp.einsum("...i,...ij,...j->...", lever, self._covariance(p_world), lever)
+
+    def planar_covariance(self, p_world: Float[Array, "3"]) -> Float[Array, "3 3"]:
+        """Return the covariance of the map's displacement (x, y, m) and turn about z (rad) at a point (m).
+
+        A robot there that is localised in the map is as far off in the world.
+        """
+        n = jnp.eye(3)
+        levers = jnp.concatenate([n[:2], jnp.cross(p_world, n[:2])], axis=-1)
+        J = jnp.concatenate([levers, jnp.eye(6)[5:]])
+        return J @ self._covariance(p_world) @ J.T
+
+    def _covariance(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 6 6"]:
+        """Return the covariance of the error ``sum_k w_k(p) xi_k`` of what the map holds at points, world's tangent."""
         # Step j moves what keyframe j and all later ones saw: its share is the sum of their weights.
         share = jnp.cumsum(self.weights(p_world)[..., ::-1], axis=-1)[..., ::-1]
-        D = jnp.einsum("...k,kij->...ij", share**2, self.root @ jnp.swapaxes(self.root, 1, 2))
-        lever = jnp.concatenate([normal, jnp.cross(p_world, normal)], axis=-1)
-        return jnp.einsum("...i,...ij,...j->...", lever, D, lever)
+        return jnp.einsum("...k,kij->...ij", share**2, self.root @ jnp.swapaxes(self.root, 1, 2))
 
     def draw(self, key: Array) -> Float[Array, "keyframes 6"]:
         """Draw standard normal coefficients for :meth:`displacement`."""

@@ -19,6 +19,7 @@ from vssm_gym.maps import empty_space, map_file
 from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT, BlockTable, block_number, corner_offsets, rows
 from vssm_gym.maps.empty_space import EmptySpace
 from vssm_gym.maps.map_file import read_metadata as read_metadata
+from vssm_gym.maps.pose_errors import PoseErrors
 
 PRIOR_OCCUPANCY_STD = 10.0  # m; broad (VSSM-LM); the information gain of exploration depends on it
 PRIOR_COLOUR_STD = 10.0  # of each channel in [0, 1]
@@ -70,6 +71,8 @@ class VoxelMap(eqx.Module):
     voxel_size: Float[Array, ""]  # m
     blocks: tuple[int, int, int] = eqx.field(static=True)  # blocks along x, y, z
     table: BlockTable | None = None  # which blocks have rows; None: all of them
+    # Of the poses at which images entered the map; None: they were true. Samples of the map have them, queries do not.
+    pose_errors: PoseErrors | None = None
 
     @classmethod
     def prior(
@@ -333,6 +336,7 @@ class VoxelMap(eqx.Module):
             path: the file; one that exists is replaced.
             metadata: what else its header holds, as JSON.
         """
+        errors = {} if self.pose_errors is None else {"pose_errors": self.pose_errors.to_json()}
         arrays = {name: np.asarray(getattr(self, name)) for name in map_file.BELIEF}
         place = {"origin": np.asarray(self.origin), "voxel_size": np.asarray(self.voxel_size)}
         if self.table is None:
@@ -342,7 +346,7 @@ class VoxelMap(eqx.Module):
             stored = np.flatnonzero(slot != PRIOR_SLOT)
             arrays = {name: array[slot[stored]] for name, array in arrays.items()}
             held = map_file.StoredMap(self.blocks, place | arrays, stored, len(self.occupancy))
-        map_file.write(path, held, metadata)
+        map_file.write(path, held, metadata | errors)
 
     @classmethod
     def load(cls, path: str | Path) -> "VoxelMap":
@@ -378,6 +382,7 @@ class VoxelMap(eqx.Module):
             voxel_size=device["voxel_size"],
             blocks=held.blocks,
             table=table,
+            pose_errors=PoseErrors.from_header(path, held.header),
         )
 
 

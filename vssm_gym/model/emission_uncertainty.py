@@ -72,12 +72,11 @@ def sample_images(
     samples: int,
     max_depth: float | Array = MAX_DEPTH,
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
-    pose_errors: PoseErrors | None = None,
 ) -> RGBD:
     """Render ``mu_rgbd(z, M_k)``, ``M_k ~ q(M)``: the same view of ``samples`` maps, one after the other (eq. M14).
 
     Returns:
         An image whose arrays have ``samples`` as first axis.
     """
-    views = lambda k: render(sample_map(k, m, measurement_noise, pose_errors), T_world_cam, camera, max_depth)
+    views = lambda k: render(sample_map(k, m, measurement_noise), T_world_cam, camera, max_depth)
     return jax.lax.map(views, jax.random.split(key, samples))

@@ -14,6 +14,7 @@ its variance is exactly 1 at every point, and its correlation falls with the dis
 exponentials. Given its coefficients, independent and standard normal, a sample is a function of the map.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -94,7 +95,6 @@ def deform(
     m: VoxelMap,
     coefficients: Coefficients,
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
-    pose_errors: PoseErrors | None = None,
 ) -> VoxelMap:
     """``M(p) = mu(p - u(p))``: the sample of the map that belongs to coefficients (eq. M14).
 
@@ -103,12 +103,11 @@ def deform(
 
     Args:
         m: the belief.
-        coefficients: of the displacement; all zero give the mean.
+        coefficients: of the displacement; all zero give the mean. Its ``poses`` are of ``m.pose_errors``.
         measurement_noise: std of one observation.
-        pose_errors: those of which ``coefficients.poses`` were drawn.
 
     Returns:
-        A map on the grid of ``m``. Precisions move with their cells.
+        A map on the grid of ``m``, as of true poses. Precisions move with their cells.
     """
     near = m.empty.rings.reshape(-1) <= 1
     if m.table is not None:
@@ -134,9 +133,9 @@ def deform(
         g = jnp.einsum("bfw,cw->bcf", turned, waves)
         std = surface_std(m, _nearest_surface(m, p), measurement_noise.reading_std)
         u = jnp.where(jnp.isfinite(std), std, 0.0)[..., None] * g[..., :3]
-        if pose_errors is not None:
+        if m.pose_errors is not None:
             corners = first[:, None] + h * BLOCK * _CORNERS
-            u += jnp.einsum("ck,bkx->bcx", share, pose_errors.displacement(corners, coefficients.poses))
+            u += jnp.einsum("ck,bkx->bcx", share, m.pose_errors.displacement(corners, coefficients.poses))
         q = p - u
         nearest = jnp.round(m.to_grid(q)).astype(jnp.int32)
         source = [jnp.clip(nearest[..., axis], 0, n - 1) for axis, n in enumerate(m.shape)]
@@ -154,14 +153,13 @@ def deform(
     belief = (m.occupancy, m.occupancy_precision, m.colour, m.colour_precision)
     moved = jax.lax.fori_loop(0, (count + BLOCKS_A_TURN - 1) // BLOCKS_A_TURN, move, belief)
     parts = lambda m: (m.occupancy_precision, m.colour, m.colour_precision)
-    return eqx.tree_at(parts, m.with_occupancy(moved[0]), moved[1:])
+    return replace(eqx.tree_at(parts, m.with_occupancy(moved[0]), moved[1:]), pose_errors=None)
 
 
 def sample_map(
     key: PRNGKeyArray,
     m: VoxelMap,
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
-    pose_errors: PoseErrors | None = None,
 ) -> VoxelMap:
     """Draw ``M ~ q(M)``: a map that is displaced at random as far as it is uncertain (eq. M14).
 
@@ -169,9 +167,8 @@ def sample_map(
         key: random key.
         m: the belief.
         measurement_noise: std of one observation.
-        pose_errors: of the poses at which the images entered the map; None: they were true.
     """
-    return deform(m, draw_coefficients(key, pose_errors), measurement_noise, pose_errors)
+    return deform(m, draw_coefficients(key, m.pose_errors), measurement_noise)
 
 
 def _nearest_surface(m: VoxelMap, p_world: Array) -> Array:

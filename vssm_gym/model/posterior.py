@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.maps import map_file
-from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 from vssm_gym.model.map_samples import (
     MEASUREMENT_NOISE,
@@ -60,15 +59,13 @@ class Posterior(eqx.Module):
 
     Attributes:
         belief: over the state, in the map's frame; mostly a :class:`GaussianBelief` with ``mean`` and ``covariance``.
-        map: over the map; None where a filter keeps none.
+        map: over the map, with the errors of its poses about its frame; None where a filter keeps none.
         measurement_noise: standard deviations of one observation that the map's precisions count.
-        pose_errors: of the poses at which images entered the map, about the map's frame; None: they were true.
     """
 
     belief: Belief
     map: VoxelMap | None
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE
-    pose_errors: PoseErrors | None = None
 
     def sample(self, key: PRNGKeyArray) -> Draw:
         """Draw ``z, M ~ q(z) q(M)``; :meth:`GaussianBelief.sample` draws many states.
@@ -83,8 +80,8 @@ class Posterior(eqx.Module):
         state = jax.tree.map(lambda a: a[0], self.belief.sample(by_state, 1))
         if self.map is None:
             return Draw(state, None, None)
-        drawn = draw_coefficients(by_map, self.pose_errors)
-        return Draw(state, deform(self.map, drawn, self.measurement_noise, self.pose_errors), drawn)
+        drawn = draw_coefficients(by_map, self.map.pose_errors)
+        return Draw(state, deform(self.map, drawn, self.measurement_noise), drawn)
 
     def log_prob(self, draw: Draw) -> LogPosterior:
         """``log q(z) + log q(M)``, term by term.
@@ -125,8 +122,7 @@ class Posterior(eqx.Module):
         belief = {"manifold": name, "mean": mean, "covariance": numbers(self.belief.covariance)}  # type: ignore[attr-defined]
         if self.map is not None:
             readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.measurement_noise)]
-            errors = {} if self.pose_errors is None else {"pose_errors": self.pose_errors.to_json()}
-            self.map.save(path, **metadata, belief=belief, readings=readings, **errors)
+            self.map.save(path, **metadata, belief=belief, readings=readings)
             return
         header = {"format": BELIEF_FORMAT, "version": BELIEF_VERSION, **metadata, "belief": belief}
         with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -175,7 +171,7 @@ class Posterior(eqx.Module):
         if not all(float(std) > 0.0 for std in readings):
             raise InputError(path, "readings", "standard deviations above 0")
         noise = MeasurementNoise(*(float(std) for std in readings))
-        return cls(belief, VoxelMap.load(path), noise, PoseErrors.from_header(path, header))
+        return cls(belief, VoxelMap.load(path), noise)
 
 
 def map_entropy(m: VoxelMap) -> float:

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
@@ -38,7 +37,6 @@ class SpatialModel(eqx.Module):
         T_body_cam: pose of the camera in the body frame, m.
         scales: of the emission, and its shares of outliers and of pixels without a reading.
         measurement_noise: standard deviations of one observation that the precisions of ``m`` count.
-        pose_errors: of the poses at which images entered ``m``; None: they were true.
         max_depth: z-depth up to which surfaces are rendered, m.
     """
 
@@ -49,7 +47,6 @@ class SpatialModel(eqx.Module):
     scales: EmissionScales = EmissionScales()
     measurement_noise: MeasurementNoise = MeasurementNoise()
     max_depth: Float[Array, ""] | float = MAX_DEPTH
-    pose_errors: PoseErrors | None = None
 
     def image(self, m: VoxelMap, state: State) -> RGBD:
         """Render ``mu_rgbd(z, M)``, the image from a single state in a map.
@@ -170,7 +167,7 @@ def rollout(
         key, path = one
         m = model.m
         if images == "sampled maps":
-            m = sample_map(key, m, model.measurement_noise, model.pose_errors)
+            m = sample_map(key, m, model.measurement_noise)
         return jax.lax.map(lambda state: model.image(m, state), path)
 
     return Rollouts(states, jax.lax.map(seen, (jax.random.split(by_map, samples), states)))

@@ -14,9 +14,11 @@ from vssm_gym.data.recording import read_provenance
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.envs.robots import NOISE_LEVELS
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix
 from vssm_gym.inference.filter import KNOWN_START_STD, Rig
 from vssm_gym.inference.registry import FILTERS
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import DEFAULT_SLOTS, VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
@@ -25,6 +27,7 @@ from vssm_gym.progress import OnProgress
 
 MAP_REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
 MAP_LOW, MAP_HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
+MOST_KEYFRAMES = 64  # of a drive, whose errors are followed
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,12 @@ class DrivePoses:
     T_world_cam: Float[np.ndarray, "frames 4 4"]  # float64
     accepted: Bool[np.ndarray, "frames"]  # False: the pose follows the commands alone
     drift: Float[np.ndarray, "frames 6 6"]  # covariance of the map's frame around the body, in the world's tangent
+
+    def errors(self, camera: Camera) -> PoseErrors:
+        """Return the errors of the accepted poses, at ``MOST_KEYFRAMES`` of them at most, evenly spaced."""
+        accepted = np.flatnonzero(self.accepted)
+        kept = accepted[:: -(-len(accepted) // MOST_KEYFRAMES)]
+        return PoseErrors.of(self.T_world_cam[kept], self.drift[kept], camera)
 
 
 def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | None = None) -> DrivePoses:

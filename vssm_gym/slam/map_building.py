@@ -4,6 +4,7 @@ The poses are either those recorded with it, as from a motion-capture system, or
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -19,6 +20,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.drive_poses import estimate_poses
@@ -51,14 +53,14 @@ def build_map(
         poses: ``recorded`` takes the ground truth, ``estimated`` those that PRISM finds in images and controls.
 
     Returns:
-        The map; z is the world's z.
+        The map; z is the world's z. At estimated poses it holds their errors.
 
     Raises:
         InputError: no ground truth, no depth at all, or a space too large for cells of this size.
     """
     reader = FrameReader(sequence)
-    taken, accepted = _poses(sequence, voxel, poses, on_progress)
-    m = _fused(reader, taken, reader.camera, voxel, np.flatnonzero(accepted).tolist(), on_progress, sequence.root)
+    taken, chosen, errors = _poses(sequence, reader.camera, voxel, poses, on_progress)
+    m = replace(_fused(reader, taken, reader.camera, voxel, chosen, on_progress, sequence.root), pose_errors=errors)
     if warn:
         warn(reader.notices)
     return m
@@ -129,13 +131,13 @@ def _fused(
 
 
 def _poses(
-    sequence: Sequence, voxel: float, poses: Poses, on_progress: OnProgress | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``T_world_cam`` of each frame, and which of them enter the map."""
+    sequence: Sequence, camera: Camera, voxel: float, poses: Poses, on_progress: OnProgress | None
+) -> tuple[np.ndarray, list[int], PoseErrors | None]:
+    """Return ``T_world_cam`` of each frame, which frames enter the map, and the errors of estimated poses."""
     if poses == "recorded":
-        return sequence.true_poses(), np.ones(len(sequence.frames), dtype=bool)
+        return sequence.true_poses(), list(range(len(sequence.frames))), None
     estimate = estimate_poses(sequence, voxel, on_progress)
-    return estimate.T_world_cam, estimate.accepted
+    return estimate.T_world_cam, np.flatnonzero(estimate.accepted).tolist(), estimate.errors(camera)
 
 
 def grid_bounds(

@@ -19,7 +19,6 @@ from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.surfaces import sample_mesh
-from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.surface_std import surface_std
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.drive_poses import estimate_poses
@@ -27,7 +26,6 @@ from vssm_gym.slam.map_building import Poses, map_from_frames
 from vssm_gym.viz.mesh import surface_mesh
 
 POINTS = 10_000  # of a map's surface, uniform over its area
-KEYFRAMES = 64  # at most, of a drive, whose errors are followed
 LARGEST_ERROR = 0.2  # m: farther surfaces are no displaced ones, but things that are not there
 
 
@@ -64,8 +62,7 @@ def measure(
         if poses == "estimated":
             estimate = estimate_poses(sequence, voxel, on_progress)
             T_world_cam, taken = estimate.T_world_cam, np.flatnonzero(estimate.accepted)
-            kept = taken[:: -(-len(taken) // KEYFRAMES)]
-            errors = PoseErrors.of(T_world_cam[kept], estimate.drift[kept], reader.camera)
+            errors = estimate.errors(reader.camera)
         frames = [reader[int(i)] for i in taken]
         m = map_from_frames(frames, T_world_cam[taken], reader.camera, voxel, on_progress)
     mesh = surface_mesh(m)

@@ -23,8 +23,7 @@ from vssm_gym.envs.world_model.tasks import TaskLimits, TaskPool, draw_tasks
 from vssm_gym.envs.world_model.view import ImaginedCamera
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
-from vssm_gym.maps.pose_errors import PoseErrors
-from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.map_samples import sample_map
 
 UNKNOWN_COST = 0.05  # reward lost in a step in unobserved space, with unknown="penalised"
@@ -82,11 +81,11 @@ def build_world(source: Any, config: Imagination, robot: Robot, max_steps: int) 
 
     Raises :class:`InputError` for what is not a map, or a map in which the robot has no tasks.
     """
-    m, pose_errors = _map(source)
+    m = _map(source)
     maps = [m]
     if config.map_samples:
         keys = jax.random.split(jax.random.key(config.pool_seed), config.map_samples)
-        maps = [sample_map(key, m, pose_errors=pose_errors) for key in keys]
+        maps = [sample_map(key, m) for key in keys]
     camera = config.camera.intrinsics()  # type: ignore[union-attr]
     collision_map = CollisionMap.of([m, *maps] if config.map_samples else maps, robot.height, config.unknown)
     lattice = Lattice(collision_map, _task_limits(robot).radius)
@@ -128,10 +127,10 @@ def _task_limits(robot: Robot) -> TaskLimits:
     return TaskLimits(robot.radius, robot.radius, GOAL_APART * robot.body_length, SUCCESS * robot.body_length, SHORTEST)
 
 
-def _map(source: Any) -> tuple[VoxelMap, PoseErrors | None]:
-    """Return the map and the errors of the poses that it was made at, where its file states them."""
+def _map(source: Any) -> VoxelMap:
+    """Return the map, read where it is a file."""
     if isinstance(source, VoxelMap):
-        return source, None
+        return source
     if isinstance(source, str | Path):
-        return VoxelMap.load(source), PoseErrors.from_header(source, read_metadata(source))
+        return VoxelMap.load(source)
     raise InputError(SOURCE, "map", f"a map file's path, or a VoxelMap; found {source!r:.80}")

@@ -222,11 +222,12 @@ class Prism:
             The belief over the body in the map's frame, without that frame's drift in the world, and the map; they
             share the state's arrays. With keyframes, the drift is stated as errors of their poses about the last.
         """
-        errors, kept, past = None, state.keyframes, _renewed(state.past)
+        m, kept, past = state.map, state.keyframes, _renewed(state.past)
         if kept is not None:
             reach = self.config.update.max_depth
             errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, past.considered.drift, self.rig.camera, reach)
-        return Posterior(past.belief, state.map, state.measurement_noise, errors)
+            m = replace(m, pose_errors=errors)
+        return Posterior(past.belief, m, state.measurement_noise)
 
     @property
     def _turns(self) -> bool:
