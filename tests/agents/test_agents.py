@@ -32,6 +32,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.pose_calibration import pose_calibration
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.transition import MotionNoise, Planar
@@ -340,6 +341,24 @@ def test_dead_reckoning_states_its_error_correctly():
     )
     assert found["nees"] == pytest.approx(1.0, abs=0.1)
     assert found["in_95"] == pytest.approx(0.95, abs=0.02)
+
+
+def test_the_error_of_a_map_is_in_the_stated_covariance(learned):
+    """A map whose one keyframe is off by 10 cm along x and 2 cm along y, for a robot that looks along y."""
+    start, command = np.array([1.0, 1.0, math.pi / 2.0]), np.array([0.05, 0.0, 0.0])
+    T = planar_to_matrix(start) @ ROBOT.T_body_cam
+    errors = PoseErrors.of(T[None], np.diag([0.1**2, 0.02**2, 0.0, 0.0, 0.0, 0.0])[None], CAMERA)
+    stated = []
+    for m in (learned, replace(learned, pose_errors=errors)):
+        localizer = FilteredPose("tracker")
+        localizer.reset(context(m, start), observe(start, start[:2], m))
+        turned = np.add(start, [0.0, 0.0, 0.05])
+        stated.append(localizer.update(command, observe(turned, turned[:2], m)))
+    assert stated[0].std == pytest.approx(stated[1].std)  # against the map nothing has changed
+    turn = stated[1].planar[2] - math.pi / 2.0
+    R = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    added = R.T @ np.diag([0.02**2, 0.1**2]) @ R  # forward is y, and left is -x
+    np.testing.assert_allclose((stated[1].covariance - stated[0].covariance)[:2, :2], added, atol=1e-5)
 
 
 def test_missing_map_and_missing_pose(learned):
