@@ -27,7 +27,7 @@ from vssm_gym.progress import OnProgress
 
 MAP_REACH = 12.0  # m: half the map's edge along x and y, around the start of the drive
 MAP_LOW, MAP_HIGH = -0.5, 3.5  # m above the floor: lower and upper end of the map
-MOST_KEYFRAMES = 64  # of a drive, whose errors are followed
+KEYFRAMES = 64  # of a drive at most, whose errors are followed
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class DrivePoses:
     drift: Float[np.ndarray, "frames 6 6"]  # covariance of the map's frame around the body, in the world's tangent
 
     def errors(self, camera: Camera) -> PoseErrors:
-        """Return the errors of the accepted poses, at ``MOST_KEYFRAMES`` of them at most, evenly spaced."""
+        """Return the errors of the accepted poses, at ``KEYFRAMES`` of them at most, evenly spaced."""
         accepted = np.flatnonzero(self.accepted)
-        kept = accepted[:: -(-len(accepted) // MOST_KEYFRAMES)]
+        kept = accepted[:: -(-len(accepted) // KEYFRAMES)]
         return PoseErrors.of(self.T_world_cam[kept], self.drift[kept], camera)
 
 
