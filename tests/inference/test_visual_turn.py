@@ -11,12 +11,14 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.tracking import standing_views, visual_turn
+from vssm_gym.inference.tracking.error_covariance import ERRORS, Considered, nothing
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition import GaussianBelief, planar_belief
 
 CAMERA = Camera.from_hfov(160, 120, 0.5 * np.pi)
 ROBOT = HolonomicRobot()
 RIG = Rig.of(CAMERA, ROBOT.T_body_cam)
+ALONE = nothing(3)  # errors that have nothing in common with the map's
 COMMANDED, NOISE = 0.2, 0.105  # rad: a full turn at noise "mid"
 KNOWN = 0.01  # rad, of the headings of the kept views
 UNSEEN = 2.0 * NOISE  # rad, after four turns that no image showed
@@ -53,7 +55,7 @@ def test_the_turn_is_seen_to_half_a_degree_whatever_the_exposure(camera):
             turned = float(np.clip(rng.normal(COMMANDED, NOISE), 0.0, 0.6))
             before, predicted = beliefs(planar)
             images = grey(camera, planar), grey(camera, planar + np.array([0, 0, turned]), gain=rng.uniform(0.85, 1.1))
-            belief, sees = visual_turn.turned(predicted, before, *images, RIG)
+            belief, sees = visual_turn.turned(predicted, before, *images, RIG, ALONE)
             told.append(bool(sees))
             if sees:
                 errors.append(float(belief.mean[2]) - planar[2] - turned)
@@ -73,7 +75,7 @@ def test_a_correction_is_the_products_of_two_gaussians(camera):
     planar = np.array([*PLACES[0], 0.7])
     before, predicted = beliefs(planar)
     images = grey(camera, planar), grey(camera, planar + np.array([0, 0, COMMANDED + 0.1]))
-    belief, sees = visual_turn.turned(predicted, before, *images, RIG)
+    belief, sees = visual_turn.turned(predicted, before, *images, RIG, ALONE)
     assert sees
     share = NOISE**2 / (NOISE**2 + visual_turn.STD**2)
     assert float(belief.mean[2]) - planar[2] - COMMANDED == pytest.approx(0.1 * share, abs=0.008)
@@ -87,7 +89,7 @@ def test_a_corrected_covariance_is_one_however_errors_are_correlated(camera, cor
     shared = correlation * 0.01 * float(jnp.sqrt(predicted.covariance[2, 2]))
     P = predicted.covariance.at[0, 2].set(shared).at[2, 0].set(shared)
     images = grey(camera, planar), grey(camera, planar + np.array([0, 0, COMMANDED]))
-    belief, sees = visual_turn.turned(planar_belief(predicted.mean, P), before, *images, RIG)
+    belief, sees = visual_turn.turned(planar_belief(predicted.mean, P), before, *images, RIG, ALONE)
     assert sees
     corrected = np.asarray(belief.covariance, float)
     assert np.linalg.eigvalsh(corrected)[0] > 0.0
@@ -96,11 +98,35 @@ def test_a_corrected_covariance_is_one_however_errors_are_correlated(camera, cor
         assert corrected[2, 2] == pytest.approx(1e-4 + visual_turn.STD**2, rel=0.02)
 
 
+@pytest.mark.parametrize("shared", ["with the map", "with the surfaces"])
+def test_what_a_heading_has_in_common_with_the_map_cannot_be_taken_from_it(camera, shared):
+    """The belief before is surer of its heading than its correlation with the errors of the map admits."""
+    planar, rng = np.array([*PLACES[0], 0.7]), np.random.default_rng(0)
+    before, predicted = beliefs(planar)
+    frames = 1e-3 * np.cov(rng.normal(size=(12, 40)))
+    cross = 0.02 * np.linalg.cholesky(frames) @ rng.normal(size=12) if shared == "with the map" else np.zeros(12)
+    direction = rng.normal(size=ERRORS)
+    surfaces = 0.08 * direction / np.linalg.norm(direction) if shared == "with the surfaces" else np.zeros(ERRORS)
+    none = nothing(3)
+    considered = Considered(
+        jnp.asarray(frames, jnp.float32),
+        none.frames_state.at[:, 2].set(cross),
+        none.state_surfaces.at[2].set(surfaces),
+        none.frames_surfaces,
+    )
+    images = grey(camera, planar), grey(camera, planar + np.array([0, 0, COMMANDED]))
+    belief, sees = visual_turn.turned(predicted, before, *images, RIG, considered)
+    assert sees
+    assert np.linalg.eigvalsh(np.asarray(considered.joint(predicted.covariance), float))[0] >= 0.0
+    assert np.linalg.eigvalsh(np.asarray(considered.joint(belief.covariance), float))[0] >= 0.0
+    assert 2e-4 < float(belief.covariance[2, 2]) < float(predicted.covariance[2, 2])
+
+
 @pytest.mark.parametrize("level", [0.0, 0.5])
 def test_images_without_contrast_tell_nothing(level):
     before, predicted = beliefs(np.zeros(3))
     flat = jnp.full((60, 80), level)
-    assert not visual_turn.turned(predicted, before, flat, flat, RIG)[1]
+    assert not visual_turn.turned(predicted, before, flat, flat, RIG, ALONE)[1]
 
 
 def test_images_of_two_places_tell_nothing(camera):
@@ -110,7 +136,7 @@ def test_images_of_two_places_tell_nothing(camera):
         planar = np.array([*a, 0.3])
         before, predicted = beliefs(planar)
         images = grey(camera, planar), grey(camera, np.array([*b, 2.0]))
-        told.append(bool(visual_turn.turned(predicted, before, *images, RIG)[1]))
+        told.append(bool(visual_turn.turned(predicted, before, *images, RIG, ALONE)[1]))
     assert not any(told)
 
 
@@ -118,7 +144,7 @@ def test_a_robot_that_drove_is_not_corrected(camera):
     planar = np.array([*PLACES[0], 0.7])
     before, predicted = beliefs(planar, driven=0.1)
     images = grey(camera, planar), grey(camera, planar + np.array([0, 0, COMMANDED]))
-    assert not visual_turn.turned(predicted, before, *images, RIG)[1]
+    assert not visual_turn.turned(predicted, before, *images, RIG, ALONE)[1]
 
 
 def turned_belief(planar: np.ndarray, std: float) -> GaussianBelief:
@@ -142,7 +168,9 @@ def test_a_heading_is_found_again(camera, place):
     for heading in rng.uniform(-3.0, 3.0, 6):
         believed = heading + float(np.clip(rng.normal(0.0, UNSEEN), -2 * UNSEEN, 2 * UNSEEN))
         image = grey(camera, np.array([*place, heading]), gain=rng.uniform(0.85, 1.1))
-        found, sees = standing_views.recognised(turned_belief(np.array([*place, believed]), UNSEEN), views, image, RIG)
+        found, sees = standing_views.recognised(
+            turned_belief(np.array([*place, believed]), UNSEEN), views, image, RIG, ALONE
+        )
         told.append(bool(sees))
         if sees:
             errors.append(float(found.mean[2]) - heading)
@@ -156,7 +184,9 @@ def test_what_was_seen_from_another_place_tells_nothing(camera):
     views = looked_around(camera, PLACES[0], np.arange(-3.0, 3.1, 0.2))
     for other in PLACES[1:]:
         image = grey(camera, np.array([*other, 0.3]))
-        told = standing_views.recognised(turned_belief(np.array([*PLACES[0], 0.3]), UNSEEN), views, image, RIG)[1]
+        told = standing_views.recognised(turned_belief(np.array([*PLACES[0], 0.3]), UNSEEN), views, image, RIG, ALONE)[
+            1
+        ]
         assert not told
 
 

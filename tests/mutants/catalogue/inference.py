@@ -231,7 +231,7 @@ INFERENCE = (
     Mutant(
         "a-turn-seen-takes-more-than-its-own-variance",
         "vssm_gym/inference/tracking/visual_turn.py",
-        "jnp.minimum(share * variance, INDEPENDENT * _alone(belief.covariance, k))",
+        "jnp.minimum(share * variance, INDEPENDENT * _alone(considered.joint(belief.covariance), k))",
         "share * variance",
         ("tests/inference/test_visual_turn.py::test_a_corrected_covariance_is_one_however_errors_are_correlated",),
     ),

@@ -166,10 +166,11 @@ class Prism:
         grey = visual_turn.small_grey(image, self.rig.camera)
         if not status.accepted:
             if state.views is not None:
-                belief, told = visual_turn.turned(past.belief, state.past.belief, state.grey, grey, self.rig)
+                errors = past.considered
+                belief, told = visual_turn.turned(past.belief, state.past.belief, state.grey, grey, self.rig, errors)
                 # From a pose that was not believed, no turn leads to one that is, but for what was seen here before.
                 if not (told and state.known):
-                    belief, told = standing_views.recognised(belief, state.views, grey, self.rig)
+                    belief, told = standing_views.recognised(belief, state.views, grey, self.rig, errors)
                 past = replace(past, belief=belief)
                 if told and self._is_known(past):
                     status = Status.TURNED

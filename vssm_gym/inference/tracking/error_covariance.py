@@ -32,6 +32,21 @@ class Considered(eqx.Module):
     state_surfaces: Float[Array, "n errors"]  # cov(e, u)
     frames_surfaces: Float[Array, "12 errors"]  # cov((d, m), u)
 
+    def joint(self, covariance: Float[Array, "n n"]) -> Float[Array, "all all"]:
+        """Return the covariance of the state, of the frames and of the surfaces' errors, in this order.
+
+        Args:
+            covariance: of the state.
+        """
+        surfaces = jnp.eye(self.state_surfaces.shape[1])
+        return jnp.block(
+            [
+                [covariance, self.frames_state.T, self.state_surfaces],
+                [self.frames_state, self.frames, self.frames_surfaces],
+                [self.state_surfaces.T, self.frames_surfaces.T, surfaces],
+            ]
+        )
+
     @property
     def drift(self) -> Float[Array, "6 6"]:
         """Return the covariance of the map's frame in the world."""

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.tracking.error_covariance import Considered
 from vssm_gym.inference.tracking.visual_turn import DRIVEN, STD, driven, turn_index, turned
 from vssm_gym.model.transition.belief import GaussianBelief
 
@@ -52,7 +53,7 @@ def remember(views: StandingViews, belief: GaussianBelief, grey: Float[Array, "h
 
 @jax.jit
 def recognised(
-    belief: GaussianBelief, views: StandingViews, grey: Float[Array, "height width"], rig: Rig
+    belief: GaussianBelief, views: StandingViews, grey: Float[Array, "height width"], rig: Rig, considered: Considered
 ) -> tuple[GaussianBelief, Bool[Array, ""]]:
     """Correct a belief by the turn between an image and what was seen from the same place before (eq. I38).
 
@@ -61,6 +62,7 @@ def recognised(
         views: with known headings.
         grey: luminance of the image, of :func:`visual_turn.small_grey`.
         rig: the camera, at full size, and its place on the body.
+        considered: as of :func:`visual_turn.turned`.
 
     Returns:
         The corrected belief, as predicted where the images do not tell; and whether they do, and agree.
@@ -71,7 +73,7 @@ def recognised(
 
     def compare(index: Array) -> tuple[Array, Array, Array]:
         before = GaussianBelief(views.mean[index], views.covariance[index], manifold)
-        found, told = turned(belief, before, views.grey[index], grey, rig)
+        found, told = turned(belief, before, views.grey[index], grey, rig, considered)
         return manifold.error(belief.mean, found.mean), found.covariance, told & (index < views.count)
 
     corrections, covariances, told = jax.lax.map(compare, nearest)

@@ -18,13 +18,14 @@ from vssm_gym.inference.alignment.residuals import luminance, shrink_camera, shr
 from vssm_gym.inference.alignment.rotation import camera_rotation
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.tracking.camera_filter import camera_twists
+from vssm_gym.inference.tracking.error_covariance import Considered
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import Manifold
 
 STD = 0.005  # rad, of a rotation between two images: a quarter of a pixel of 80 across a right angle
-INDEPENDENT = 0.9999  # of the variance that is independent of the rest: a covariance stays regular in single precision
-EVERYWHERE = 1e-12  # m^2, rad^2, on the diagonal: coordinates that are known exactly
+INDEPENDENT = 0.999  # of the variance that is independent of the rest: a covariance stays regular in single precision
+EVERYWHERE = 1e-5  # on the diagonal of a matrix of correlations: what is known exactly, or twice
 MIN_CORRELATION = 0.9  # of the luminances after the rotation
 MIN_CONTRAST = 0.02  # standard deviation of the luminance: a bare wall shows no turn
 MIN_OVERLAP = 0.3  # share of the image that both show
@@ -48,12 +49,13 @@ def turned(
     last: Float[Array, "height width"],
     grey: Float[Array, "height width"],
     rig: Rig,
+    considered: Considered,
 ) -> tuple[GaussianBelief, Bool[Array, ""]]:
     """Correct a predicted belief by the rotation between two images of a robot that turned and did not drive (eq. I38).
 
     The images measure the turn's error ``e ~ N(0, q)`` with the variance ``s^2``: its mean becomes
     ``q / (q + s^2)`` of what they show, its variance ``q s^2 / (q + s^2)``; q is what the step added to the belief. No
-    more is taken from the heading's variance than what is independent of the rest of the state.
+    more is taken from the heading's variance than what is independent of the place and of the map's errors.
 
     Args:
         belief: predicted, after the turn.
@@ -61,6 +63,7 @@ def turned(
         last: luminance of the image before, of :func:`small_grey`.
         grey: of the image after it.
         rig: the camera, at full size, and its place on the body.
+        considered: what the belief's errors have in common with those of the map.
 
     Returns:
         The corrected belief, as predicted where the images do not tell; and whether they do.
@@ -85,16 +88,18 @@ def turned(
     told &= jnp.abs(error) <= MOST_TURN_STDS * jnp.sqrt(variance + STD**2)
     share = jnp.where(told, variance / (variance + STD**2), 0.0)
     mean = manifold.perturb(belief.mean, jnp.zeros(len(belief.covariance)).at[k].set(share * error))
-    taken = jnp.minimum(share * variance, INDEPENDENT * _alone(belief.covariance, k))
+    taken = jnp.minimum(share * variance, INDEPENDENT * _alone(considered.joint(belief.covariance), k))
     return GaussianBelief(mean, belief.covariance.at[k, k].add(-taken), manifold), told
 
 
 def _alone(covariance: Float[Array, "d d"], k: int) -> Float[Array, ""]:
     """``P_kk - P_kr P_rr^-1 P_rk``: the variance of coordinate k given all others, r; more cannot be taken from it."""
     rest = np.delete(np.arange(len(covariance)), k)
-    shared = covariance[rest, k]
-    P = covariance[np.ix_(rest, rest)] + EVERYWHERE * jnp.eye(len(rest))
-    return jnp.maximum(covariance[k, k] - shared @ jnp.linalg.solve(P, shared), 0.0)
+    scale = jnp.sqrt(jnp.maximum(jnp.diagonal(covariance), jnp.finfo(jnp.float32).tiny))
+    correlation = covariance / scale / scale[:, None]
+    shared = correlation[rest, k]
+    R = correlation[np.ix_(rest, rest)] + EVERYWHERE * jnp.eye(len(rest))
+    return covariance[k, k] * jnp.clip(1.0 - shared @ jnp.linalg.solve(R, shared), 0.0, 1.0)
 
 
 def turn_index(manifold: Manifold) -> int:
