@@ -12,6 +12,7 @@ from vssm_gym.agents.shared.mapping import MapAndPose, MapAtObservedPose
 from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, WITHOUT, Failure, Response
 from vssm_gym.agents.shared.surroundings import GrowingMap
+from vssm_gym.agents.shared.trust import LostConfig
 from vssm_gym.planning.traversability import TraversabilityConfig
 
 KNOWN_SPACE = TraversabilityConfig(unknown=math.inf)
@@ -59,12 +60,12 @@ class SlamNavKnownSpaceAgent:
 
 
 class SlamNavNoRecoveryAgent:
-    """Give up at the first failure."""
+    """Give up at the first failure; where it is lost, after ten steps by the commands alone."""
 
     name = "slam_nav_no_recovery"
     robot = "holonomic"
     task = "pointgoal"
-    navigation = replace(CONFIG, responses=WITHOUT)
+    navigation = replace(CONFIG, responses=WITHOUT, lost=LostConfig(coast=10, give_up=10))
     needs_pose = False
     needs_map = False
 

@@ -96,6 +96,7 @@ class Navigator:
         self._context, self._follower = context, Follower.of(context, self._config.following)
         estimate = self.surroundings.reset(context, observation)
         self._open(estimate, observation)
+        self._task.recovery.end()  # a look around comes before the first plan
         self._decide(estimate)
         self._open(self.surroundings.reset(context, observation), observation)
 
@@ -174,7 +175,7 @@ class Navigator:
         if held:
             task.recovery.counts[HELD] += 1
             radius = self._assumed_radius(estimate)
-            self._meet_obstacle(estimate, self._radius + radius, radius)
+            self._meet_obstacle(estimate, self._command, self._radius + radius, radius)
         if dithers and (response := self._respond(Failure.STUCK, estimate)) is not None:
             return response
         if not lost and self._is_uncertain(estimate) and (response := self._respond(Failure.UNCERTAIN, estimate)):
@@ -182,7 +183,8 @@ class Navigator:
         terrain = self.terrain = self.surroundings.look(estimate.planar, task.goal)
         failure = self._follow(estimate, terrain)
         if failure is not None:
-            response = self._respond(Failure.NO_PATH, estimate, failure.status.message)
+            full = f"; {NO_ROOM}" if self.surroundings.is_full else ""
+            response = self._respond(Failure.NO_PATH, estimate, f"{failure.status.message}{full}")
             return response or ("looking around: no path", False, self._turn())
         assert task.path is not None
         if task.detour is None and distance <= task.rim + self._config.landing:
@@ -192,13 +194,11 @@ class Navigator:
         command = self._step(estimate, terrain, task.path)
         if command[2] > 0.0 and not self.surroundings.sees_ahead():
             task.recovery.counts[BLIND] += 1
-            self._meet_obstacle(estimate, c.blind_distance, c.blind_radius)
+            self._meet_obstacle(estimate, command, c.blind_distance, c.blind_radius)
             return f"looking around: {BLIND}", False, still
         if not np.any(command):
             response = self._respond(Failure.BLOCKED, estimate)
             return response or ("looking around: blocked", False, self._turn())
-        if command[2] > 0.0:
-            task.recovery.overcome(Failure.NO_PATH)
         return "driving" if task.detour is None else "exploring", False, command
 
     # --- the path
@@ -218,9 +218,12 @@ class Navigator:
         planar, body, kept = estimate.planar, self._radius, None
         if task.path is not None:
             kept = shortened(task.path, planar, terrain.space, end, radius, body - c.slack)
-        if kept is not None and not may_improve(terrain.changed, kept, planar, end):
-            task.path = kept
-            return None
+        if kept is not None:
+            # A detour is driven because no path led to the goal: whatever has changed may open one.
+            detour = task.detour is not None and len(terrain.changed) > 0
+            if not (detour or may_improve(terrain.changed, kept, planar, end)):
+                task.path = kept
+                return None
         largest = self._context.success_radius - 2.0 * c.landing
         attempts = [(radius, margin) for radius in (target, largest) for margin in c.margins]
         result, reached, margin = first_found(self._plan, planar, task.goal, terrain.space, body, attempts)
@@ -289,7 +292,8 @@ class Navigator:
             case Response.RETRACE:
                 return retraced(self._track, planar, self._context)
             case Response.BACK_OFF:
-                near = self.surroundings.look(planar, self._task.goal).near
+                self._task.path = None
+                near = self.surroundings.around(planar)
                 return back_off(planar, near, c.following.retreat, self._context) or Nothing()
             case Response.LOOK_AGAIN:
                 if not self.surroundings.doubt(planar[:2], c.doubted):
@@ -308,7 +312,6 @@ class Navigator:
             command = recovery.manoeuvre.command(estimate.planar)
             if command is not None:
                 return recovery.activity, False, command
-        recovery.end()
         response = self._respond(Failure.LOST, estimate)
         return response or ("looking around: lost", False, self._turn())
 
@@ -355,9 +358,9 @@ class Navigator:
         task.held.append(estimate.planar[:2].copy())
         return min(c.obstacle_radius * 2.0**before, c.largest_obstacle)
 
-    def _meet_obstacle(self, estimate: Localization, front: float, radius: float) -> None:
-        """Assume an obstacle ``front`` m ahead, of ``radius`` m, and plan a path around it."""
-        command = np.zeros(3) if self._command is None else self._command
+    def _meet_obstacle(self, estimate: Localization, command: np.ndarray | None, front: float, radius: float) -> None:
+        """Assume an obstacle ``front`` m along a command, of ``radius`` m, and plan a path around it."""
+        command = np.zeros(3) if command is None else command
         heading = direction_of_travel(estimate.planar, command, self._context.direction_frame)
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self.surroundings.meet(centre, radius)
@@ -394,6 +397,7 @@ class Navigator:
         return track[np.flatnonzero(away <= away.min() + 0.1)[-1]]
 
 
+NO_ROOM = "its map is full"
 NEAREST = "arrived as near as a path leads"
 HELD = "plans around what holds it"  # where the robot does not move as commanded
 BLIND = "does not drive blindly"  # where an image shows nothing ahead

@@ -56,7 +56,7 @@ IN_OWN_MAP: Table = {
     Failure.NO_PATH: (Response.TURN_AROUND, Response.LOOK_AGAIN, Response.EXPLORE, Response.LOOK_AGAIN),
 }
 WITHOUT_IMAGES: Table = {**IN_KNOWN_MAP, Failure.UNCERTAIN: ()}  # no view makes such an estimate more certain
-WITHOUT: Table = dict.fromkeys(Failure, ())  # the ablation: the first failure ends the task
+WITHOUT: Table = dict.fromkeys(Failure, ())  # of the ablation: a failure ends the task, but an uncertain estimate
 
 
 @dataclass

@@ -49,6 +49,11 @@ class Surroundings(Protocol):
         """Return the belief over the apartment, valid until the next observation."""
         ...
 
+    @property
+    def is_full(self) -> bool:
+        """Return True where something was seen that the map had no storage left for."""
+        ...
+
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Begin at ``context.start_pose``, from where ``observation`` was seen."""
         ...
@@ -61,8 +66,12 @@ class Surroundings(Protocol):
         """Return where a robot at ``planar`` can drive on its way to ``goal`` ``(2,)``, m."""
         ...
 
+    def around(self, planar: np.ndarray) -> ClearanceMap:
+        """Return the clearance around ``planar``, without a look: what has changed since the last one stays so."""
+        ...
+
     def sees_ahead(self) -> bool:
-        """Return True where the last image shows, or the map knows, what the robot has in front of it."""
+        """Return True where the map was given, or the last image shows what the robot has in front of it."""
         ...
 
     def meet(self, xy: np.ndarray, radius: float) -> None:
@@ -96,6 +105,11 @@ class KnownMap:
         assert self._map is not None
         return self._map
 
+    @property
+    def is_full(self) -> bool:
+        """Return False: nothing is added to the map."""
+        return False
+
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Start the localizer; raise :class:`InputError` without a map."""
         if context.map is None:
@@ -114,6 +128,10 @@ class KnownMap:
     def look(self, planar: np.ndarray, goal: np.ndarray) -> Terrain:
         """Return the map's clearance with the obstacles that were met."""
         return Terrain(self._space, self._space, np.empty((0, 2)))
+
+    def around(self, planar: np.ndarray) -> ClearanceMap:
+        """Return the map's clearance with the obstacles that were met."""
+        return self._space
 
     def sees_ahead(self) -> bool:
         """Return True: the map was learned before."""
@@ -146,6 +164,11 @@ class GrowingMap:
         """Return the belief over the apartment."""
         return self._own.map
 
+    @property
+    def is_full(self) -> bool:
+        """Return True where something was seen that the map had no storage left for."""
+        return self._own.is_full
+
     def reset(self, context: AgentContext, observation: Observation) -> Localization:
         """Begin an empty map with the first image."""
         self._body = _body(context)
@@ -167,6 +190,10 @@ class GrowingMap:
         self._last = plan
         space = of_plan(plan, goal, self._body, self._traversability)
         return Terrain(space, plan.clearance(planar[:2], NEAR), changed, plan)
+
+    def around(self, planar: np.ndarray) -> ClearanceMap:
+        """Read the floor plan around the robot."""
+        return self._own.plan(keep=planar[None, :2]).clearance(planar[:2], NEAR)
 
     def floor_plan(self) -> FloorPlan:
         """Read the floor plan of the belief; the next look is not affected."""
