@@ -18,8 +18,9 @@ from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observati
 from vssm_gym.agents.navigation.slam_nav import CONFIG as SLAM_NAV
 from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfig
 from vssm_gym.agents.shared.manoeuvres import Turn
+from vssm_gym.agents.shared.map_index import rig_of
 from vssm_gym.agents.shared.mapping import MapAndPose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigator import NO_ROOM, NavigationConfig, Navigator
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
 from vssm_gym.agents.shared.searching.frontier_goals import FrontierGoals
 from vssm_gym.agents.shared.searching.picture_matches import Match
@@ -84,7 +85,6 @@ class SlamImageAgent:
         """Open an episode; one step of the search is made and dropped, so that compiling it delays no later one."""
         self._context = replace(context, success_radius=min(self._config.near, context.success_radius))
         self._place, self._turns = np.asarray(context.start_pose, np.float64)[:2], 0
-        self._responses: Counter[str] = Counter()
         self._navigator.reset(self._context, self._with_goal(observation), seed)
         self._frontiers.reset(self._context, seed)
         self._look_for(observation["goal_rgb"])
@@ -98,13 +98,16 @@ class SlamImageAgent:
         """Begin the search for an image."""
         self._goal_rgb = np.array(goal_rgb)
         self._search = PictureSearch(self._config.search, self._context, goal_rgb.astype(np.float32) / 255.0)
-        self._views = UnseenViews(self._config.views)
+        self._views = UnseenViews(self._config.views, rig_of(self._context).camera)
         self._match: Match | None = None  # that is driven to
+        self._responses: Counter[str] = Counter()  # of this image's drives before the present one
 
     def act(self, observation: Observation) -> Decision:
         """Drive to a pose that explains the image, or explore."""
         if not np.array_equal(observation["goal_rgb"], self._goal_rgb):
             self._look_for(observation["goal_rgb"])
+            self._frontiers.leave()
+            self._place, self._turns = self._navigator.estimate.planar[:2].copy(), 0  # a drive that ends at once
         decision = self._navigator.act(self._with_goal(observation))
         if self._navigator.estimate.lost:
             return self._completed(decision, decision.gives_up)
@@ -137,10 +140,11 @@ class SlamImageAgent:
             image = RGBD.from_camera(observation["rgb"], observation["depth"])
             if again and self._search.agrees(image, self._navigator.estimate.planar, again[0].planar):
                 away = math.hypot(*(again[0].planar[:2] - self._navigator.estimate.planar[:2]))
-                if away <= c.near or self._corrections >= c.corrections:
+                if away <= c.near:
                     return self._arrived(decision)
-                self._corrections += 1
-                return self._drive_to(again[0], decision)
+                if self._corrections < c.corrections:
+                    self._corrections += 1
+                    return self._drive_to(again[0], decision)
         self._search.matches.refute(match)
         self._match = None
         return self._explore(decision)
@@ -170,7 +174,8 @@ class SlamImageAgent:
             return self._drive_to(best, decision)
         if not search.is_done:
             return self._instead(decision, np.zeros(3), "compares what it has seen")
-        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=NOWHERE)
+        status = f"{NOWHERE}; {NO_ROOM}" if self._surroundings.is_full else NOWHERE
+        return replace(decision, action=np.array([*STOP_COMMAND, 1.0], np.float32), status=status)
 
     # --- the next drive
 

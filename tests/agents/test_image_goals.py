@@ -5,6 +5,7 @@ import pytest
 
 from tests.agents.test_agents import CAMERA, LOW, context, learned, observe
 from tests.helpers.planning_worlds import APART, twin_rooms
+from vssm_gym.agents.navigation.astar_image import NOWHERE as NOWHERE_IN_MAP
 from vssm_gym.agents.navigation.astar_image import AStarImageAgent
 from vssm_gym.agents.navigation.slam_image import NOWHERE, SlamImageAgent
 from vssm_gym.envs.robots import execute
@@ -50,7 +51,20 @@ def test_a_goal_that_shows_nothing_is_no_error(learned):
     agent, start = AStarImageAgent(), np.array([1.0, 1.0, 1.0])
     observation = seen(start, start, learned) | {"goal_rgb": np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)}
     agent.reset(context(learned, start), observation, 0)
-    assert agent.act(observation).action.shape == (4,)
+    decision = agent.act(observation)
+    assert decision.gives_up
+    assert decision.action[3] > 0.5
+    assert decision.status.startswith(NOWHERE_IN_MAP)
+
+
+@pytest.mark.slow
+def test_an_image_of_another_room_is_not_arrived_at(learned):
+    """The robot compares at every place where the image may have been taken, and gives up."""
+    start = np.array([1.0, 1.0, 1.0])
+    other = observe(np.array([1.9, 1.7, 0.0]), start[:2], twin_rooms(differ=False))["rgb"]
+    decisions, _ = drive(learned, start, start, steps=600, goal_rgb=other)
+    assert decisions[-1].gives_up
+    assert decisions[-1].status.startswith(NOWHERE_IN_MAP)
 
 
 def test_places_out_of_reach_are_given_up_for_the_next_one():

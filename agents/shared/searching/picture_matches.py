@@ -49,14 +49,17 @@ class Matches:
         self._refuted: list[np.ndarray] = []
 
     def add(self, new: Match) -> None:
-        """Add a match in place of those near it."""
+        """Add a match in place of those near it, unless it is refuted."""
         c = self._config
+        if any(new.is_near(planar, *c.refuted) for planar in self._refuted):
+            return
         others = [one for one in self.all if not one.is_near(new.planar, *c.apart)]
         self.all = sorted([*others, new], key=lambda one: -one.log_prob)[: c.kept]
 
     def refute(self, match: Match) -> None:
         """Refute a match and all that will be found near it."""
         self._refuted.append(match.planar)
+        self.all = [one for one in self.all if not one.is_near(match.planar, *self._config.refuted)]
 
     def best(self, log_prob: float, correlation: float, share: float, than: Match | None = None) -> Match | None:
         """Return the likeliest match that is not refuted; None where there is none.
@@ -69,9 +72,8 @@ class Matches:
         """
         c = self._config
         for one in self.all:
-            refuted = any(one.is_near(planar, *c.refuted) for planar in self._refuted)
             fits = one.log_prob >= log_prob * one.share and one.correlation >= correlation and one.share >= share
-            if fits and not refuted:
+            if fits:
                 if than is None:
                     return one
                 likelier = one.log_prob > than.log_prob + c.better

@@ -36,6 +36,8 @@ from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.manifold import PLANAR
 from vssm_gym.planning.floor_plan import FloorPlan
 
+TIGHT = 0.04  # m, by which a place may be tighter than the body: a map's surfaces err
+
 
 @dataclass(frozen=True)
 class PictureSearchConfig:
@@ -51,7 +53,7 @@ class PictureSearchConfig:
     cylinder: CylinderConfig = field(default_factory=lambda: CylinderConfig(map_samples=1))
     # A cell that the map does not show costs what cells of the best wrong places cost: a true place of which the map
     # shows half is among the best then.
-    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=32, unseen=0.6))
+    comparison: ComparisonConfig = field(default_factory=lambda: ComparisonConfig(candidates=64, unseen=0.6))
     shown: float = 0.35  # share of a view that the map shows, from which on it is a candidate
     matches: MatchesConfig = field(default_factory=MatchesConfig)
     # Of a camera image at the picture's place: mean residual of the colours in standard deviations, at most;
@@ -81,9 +83,9 @@ class PictureSearch:
         self._basis = camera_twists(PLANAR, self._small_rig)
         n = round(config.extent / config.spacing)
         self._corner = np.asarray(context.start_pose, np.float64)[:2] - 0.5 * config.spacing * (n - 1)
-        self._room = 0.5 * context.body_length - 0.04
+        self._room = 0.5 * context.body_length - TIGHT
         self._grid = self._corner + config.spacing * np.moveaxis(np.indices((n, n)), 0, -1)
-        self._known = np.full((n, n), -np.inf)  # cells known around a place when its panorama was rendered
+        self._known = np.zeros((n, n))  # cells known around a place when its panorama was rendered
         self._row = np.full((n, n), -1)  # of ``_scores``
         self.places = np.empty((0, 2))  # (n, 2) m, with a panorama
         self.shares = np.empty((0, config.cylinder.columns))  # of the view at each heading there that the map shows

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.exploration.candidates import Roadmap
 
@@ -29,15 +30,17 @@ class UnseenViewsConfig:
     least: float = 0.5  # rad of unseen headings that a place must have
     decay: float = 0.3  # lambda, 1/m
     turn: float = 0.8  # c, m of path that a turn by a radian costs as much as
-    window: float = 0.75  # rad to each side of a heading that an image there shows
+    margin: float = 0.035  # rad, of the camera's view that is not counted on
     near: float = 0.6  # m around a place that has been looked from, within which the same headings are done
 
 
 class UnseenViews:
     """Hold the view that the robot drives to, and those that it has looked at."""
 
-    def __init__(self, config: UnseenViewsConfig) -> None:
+    def __init__(self, config: UnseenViewsConfig, camera: Camera) -> None:
         self._config = config
+        # rad to each side of a heading that an image there shows
+        self._window = math.atan(0.5 * camera.width / float(camera.fx)) - config.margin
         self.chosen: np.ndarray | None = None  # (3,) place and heading
         self._looked: list[np.ndarray] = []
 
@@ -58,8 +61,8 @@ class UnseenViews:
         unseen = shares < c.share
         for pose in self._looked:
             near = np.hypot(*(places - pose[:2]).T) < c.near
-            unseen[np.ix_(near, np.abs(wrap_angle(headings - pose[2])) < c.window)] = False
-        around = np.abs(wrap_angle(headings[:, None] - headings[None, :])) < c.window
+            unseen[np.ix_(near, np.abs(wrap_angle(headings - pose[2])) < self._window)] = False
+        around = np.abs(wrap_angle(headings[:, None] - headings[None, :])) < self._window
         shown = unseen.astype(np.float32) @ around.astype(np.float32)
         shown[unseen.sum(axis=1) * 2.0 * math.pi / columns < c.least] = 0.0
         x, y = (places - planar[:2]).T
@@ -80,7 +83,7 @@ class UnseenViews:
         if away.min() > SAME_PLACE:
             return False
         columns = shares.shape[1]
-        within = np.abs(wrap_angle(2.0 * math.pi * np.arange(columns) / columns - self.chosen[2])) < self._config.window
+        within = np.abs(wrap_angle(2.0 * math.pi * np.arange(columns) / columns - self.chosen[2])) < self._window
         unseen = np.count_nonzero(shares[int(away.argmin()), within] < self._config.share)
         return bool(unseen * 2.0 * math.pi / columns < self._config.least)
 

@@ -71,6 +71,18 @@ def test_what_the_camera_has_refuted_is_no_match_again():
     assert matches.best(0.5, 0.8, 0.95) is None
 
 
+def test_refuted_matches_make_room_for_others():
+    matches = Matches()
+    look_alikes = [Match(np.array([2.0 * k, 0.0, 0.0]), 5.0, 0.9, 0.9) for k in range(CONFIG.matches.kept)]
+    for one in look_alikes:
+        matches.add(one)
+        matches.refute(one)
+        matches.add(one)
+    true = Match(np.array([0.0, 5.0, 0.0]), 4.0, 0.9, 0.9)
+    matches.add(true)
+    assert matches.best(1.0, 0.5, 0.5) is true
+
+
 def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learned, monkeypatch):
     """After enough steps every free place has its panorama, and a map that stays asks for no work."""
     search, calls = searched(learned, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), 1), []
