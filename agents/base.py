@@ -79,7 +79,8 @@ class Decision:
         gives_up: True where the agent ends the task without success, for the reason in ``status``. A stop that gives up
             claims no arrival; a robot without a stop ends its task by this alone.
         covariance: ``(3, 3)`` of the error ``log(T_pose^-1 T_true)`` of ``pose``: forward (m), left (m), turn (rad) in
-            the estimate's body frame; the drift of an agent's own map is included. None where an agent states none:
+            the estimate's body frame; the drift of an agent's own map is included, and so
+            is the error of a given map that was made at estimated poses. None where an agent states none:
             its pose is observed, or it keeps no belief.
         responses: how often each response to a failure was begun in this task so far, by name; None of an agent that
             does not count them.

@@ -1,4 +1,4 @@
-"""Take one thing from ``slam_nav`` at a time, to see what it is worth, and compare it with a classical explorer.
+"""Take one thing from ``slam_nav`` at a time, to measure its effect, and compare it with a classical explorer.
 
 All of them are :class:`~vssm_gym.agents.navigation.slam_nav.SlamNavAgent`'s navigator on a growing map, with another
 setting. Described in ``docs/agents/navigation.md``.

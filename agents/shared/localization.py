@@ -106,6 +106,8 @@ class FilteredPose:
             find = partial(self._index.relocaliser, context) if self._entry.needs_map else None
             self._judged = JudgedFilter(self._filter, self._state, self._dt, observation, chained, relocaliser=find)
         self._displaced = _displacement(context) if self._entry.needs_map else None
+        if self._displaced is not None:
+            self._displaced(np.asarray(context.start_pose))  # compiled here
         return localization(known_start(context, self._entry.blind), Status.OK)
 
     def update(self, command: np.ndarray, observation: Observation) -> Localization:
@@ -176,7 +178,7 @@ def _displacement(context: AgentContext) -> Callable[[np.ndarray], np.ndarray] |
     errors = None if context.map is None else context.map.pose_errors
     if errors is None:
         return None
-    height = float(context.T_body_cam[2, 3])  # what the camera sees shows where the robot is
+    height = float(context.T_body_cam[2, 3])  # of the camera: the surfaces that it is localised by are about as high
 
     def displaced(planar: np.ndarray) -> np.ndarray:
         p_world = jnp.asarray([planar[0], planar[1], height], jnp.float32)

@@ -203,7 +203,10 @@ def ensure_map(
     }
     map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
     if map_file.exists():
-        _check_origin(map_file, "map", read_metadata(map_file), origin | {"voxel": voxel, "poses": poses})
+        found = read_metadata(map_file)
+        _check_origin(map_file, "map", found, origin | {"voxel": voxel, "poses": poses})
+        if poses == "estimated" and "pose_errors" not in found:
+            raise InputError(map_file, "pose_errors", f"the errors of its estimated poses; found none ({ADVICE})")
         return map_file
     if recording.exists():
         _check_origin(recording, "recording", read_provenance(recording), origin)

@@ -36,7 +36,7 @@ from vssm_gym.model.emission_density import EmissionScales
 from vssm_gym.model.transition.manifold import PLANAR
 from vssm_gym.planning.floor_plan import FloorPlan
 
-TIGHT = 0.04  # m, by which a place may be tighter than the body: a map's surfaces err
+TIGHTER = 0.04  # m, by which a place may be tighter than the body: a map's surfaces err
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class PictureSearch:
         self._basis = camera_twists(PLANAR, self._small_rig)
         n = round(config.extent / config.spacing)
         self._corner = np.asarray(context.start_pose, np.float64)[:2] - 0.5 * config.spacing * (n - 1)
-        self._room = 0.5 * context.body_length - TIGHT
+        self._room = 0.5 * context.body_length - TIGHTER
         self._grid = self._corner + config.spacing * np.moveaxis(np.indices((n, n)), 0, -1)
         self._known = np.zeros((n, n))  # cells known around a place when its panorama was rendered
         self._row = np.full((n, n), -1)  # of ``_scores``
