@@ -23,7 +23,7 @@ from vssm_gym.agents.shared.car.recovery import CREEP_SPEED, Failure, Recovery, 
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
-from vssm_gym.agents.shared.trust import gave_up
+from vssm_gym.agents.shared.trust import LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -50,6 +50,7 @@ class SlamCarConfig:
         map: cells and heights of the agent's own map.
         critic: its grid, the price of unknown space, and when it is computed again.
         stuck: when something holds the car.
+        lost: when an estimate that is not believed fails the task; until then the responses of the table are tried.
         progress: motions by which the way that is left has to get shorter.
         unseen_steps: in a row that the controller drives without it, after which it may drive onto unseen space.
         held_steps: in a row that the controller drives without it: its plan leads nowhere.
@@ -58,6 +59,7 @@ class SlamCarConfig:
     map: OwnMapConfig = CAR_MAP
     critic: GrowingConfig = field(default_factory=GrowingConfig)
     stuck: StuckConfig = field(default_factory=StuckConfig)
+    lost: LostConfig = field(default_factory=lambda: LostConfig(give_up=100))
     progress: float = 0.3
     unseen_steps: int = 12
     held_steps: int = 25
@@ -88,7 +90,9 @@ class SlamCarAgent:
         self._car, self._stops = context.car, context.stops
         self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
         self._command, self._fresh = np.zeros(2), True
-        self._trail = Trail(self._car)
+        self._retraces = False  # its last command undid a piece of its trail
+        self._trail = Trail(self._car, self._own.estimate.planar)
+        self._half_angle = float(np.arctan(0.5 * context.camera[0] / context.K[0, 0]))
         self._stuck = Stuck(self._config.stuck)
         self._begin(observation["goal"])
         at = self._own.estimate.planar
@@ -104,6 +108,11 @@ class SlamCarAgent:
             self._own.take(self._command, observation)
         self._fresh = False
         at = self._own.estimate
+        if self._retraces:
+            self._trail.begin(at.planar)
+        else:
+            self._trail.drove(at.planar)
+        self._retraces = False
         tracked = time.perf_counter()
         if not np.array_equal(observation["goal"], self._goal):
             self._begin(observation["goal"])
@@ -111,13 +120,13 @@ class SlamCarAgent:
             self._critic.update(self._own.plan(), at.planar)
         planned = time.perf_counter()
         response = self._recovery.step(self._failure(at))
+        if at.lost > self._config.lost.give_up:
+            response = Response.GIVE_UP
         parking = Parking.DRIVE
         if self._stops and not at.lost and response is not Response.GIVE_UP:
             parking = self._parking.step(at, self._command)
         step = self._respond(response, at) if parking is Parking.DRIVE else self._brake(parking.value)
         self._command = self._car.clip(step.control)
-        if response is not Response.BACK_UP:
-            self._trail.drove(self._command)
         stop = [float(parking in (Parking.STOP, Parking.TRUST))] if self._stops else []
         ended = time.perf_counter()
         return Decision(
@@ -175,6 +184,8 @@ class SlamCarAgent:
             if at.lost or not leads_into(
                 plan.cells == OCCUPIED, plan.origin, plan.resolution, at.planar, back, self._car
             ):
+                self._trail.undo()
+                self._retraces = True
                 return CarCommand(back, f"{response.value}: {why}")
         if response is Response.CREEP:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
