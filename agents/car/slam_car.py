@@ -159,6 +159,8 @@ class SlamCarAgent:
         if length is not None:
             self._own.bump(at.planar, length > 0.0)
             return Failure.STUCK
+        if self._parking.waits:  # it is where its plan leads to
+            self._progress.restart()
         if self._critic.aim is not None:
             self._progress.see(self._critic.computed, self._critic.motions(at.planar))
         if self._progress.steps == c.unseen_steps and self._critic.dare(at.planar):
