@@ -34,6 +34,8 @@ from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED
 # Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side. The ring and the actor's border of one cell, less
 # its margin, are the 5 cm that a start keeps from everything.
 CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.03)
+# Where it may drive only a little way it would put that off for ever: a plan that gets on earlier is cheaper.
+HASTY = replace(PROBLEM, config=replace(PROBLEM.config, haste=0.05))
 BY_STATUS = {  # of an estimate that is not believed
     Status.FROZEN: Failure.FROZEN,
     Status.REPEATED: Failure.REPEATED,
@@ -76,7 +78,7 @@ class SlamCarAgent:
 
     def __init__(self, config: SlamCarConfig | None = None) -> None:
         self._config = config or SlamCarConfig()
-        self._mpc = SafeMpc(RandomSearch(PROBLEM))
+        self._mpc = SafeMpc(RandomSearch(HASTY))
 
     @property
     def map(self) -> VoxelMap:
@@ -144,7 +146,7 @@ class SlamCarAgent:
         self._goal = np.array(goal)
         self._progress = Progress(self._config.progress)
         target = self._goal.astype(np.float64)
-        self._critic = GrowingCritic(self._car, target, self._config.critic)
+        self._critic = GrowingCritic(self._car, target, self._half_angle, self._config.critic)
         self._parking = ParkingRule(self._car, target)
         self._recovery = Recovery()
         self._mpc.begin(self._command)
