@@ -46,7 +46,7 @@ TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DRIVEN_SHARE = 0.5  # of the cells that it dared, from which on it has driven onto them: their edge it only passes
 LOOKED = 3  # steps in a row at a pose to look from, after which it does not show what it was to show
-NEARLY = 0.3  # of the motion that it dared are left where it has driven it
+DRIVEN_REST = 0.3  # of the motion that it dared are left where it has driven it
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
 WIDEST = 2  # cells around what it dares
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
@@ -261,7 +261,7 @@ class GrowingCritic:
         if first is not None:
             self._dare(sight.swept(route[first - 1 : first + 1]))
             before, after = (self.motions(pose) for pose in route[first - 1 : first + 1])
-            self._until = after + NEARLY * (before - after)
+            self._until = after + DRIVEN_REST * (before - after)
         self._near = self._around(route, nothing)
 
     def _sight(self, unseen: np.ndarray) -> Sight:

@@ -97,7 +97,7 @@ class Recovery:
         lasting = self.failure in LASTING
         if failure is not self.failure and (self.failure is None or lasting or failure in LASTING):
             self.failure = failure
-            if failure not in LASTING:
+            if failure is not None and failure not in LASTING:
                 self._steps.pop(failure, None)
         if self.failure is None:
             return Response.DRIVE
