@@ -23,7 +23,7 @@ from vssm_gym.agents.shared.car.recovery import CREEP_SPEED, Failure, Recovery, 
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
-from vssm_gym.agents.shared.trust import gave_up
+from vssm_gym.agents.shared.trust import LostConfig, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -34,6 +34,8 @@ from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED
 # Cells of 4 cm: a bay of 0.42 m holds a car with 3 cm on either side. The ring and the actor's border of one cell, less
 # its margin, are the 5 cm that a start keeps from everything.
 CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.03)
+# Where it may drive only a little way it would put that off for ever: a plan that gets on earlier is cheaper.
+HASTY = replace(PROBLEM, config=replace(PROBLEM.config, haste=0.05))
 BY_STATUS = {  # of an estimate that is not believed
     Status.FROZEN: Failure.FROZEN,
     Status.REPEATED: Failure.REPEATED,
@@ -50,6 +52,7 @@ class SlamCarConfig:
         map: cells and heights of the agent's own map.
         critic: its grid, the price of unknown space, and when it is computed again.
         stuck: when something holds the car.
+        lost: when an estimate that is not believed fails the task; until then the responses of the table are tried.
         progress: motions by which the way that is left has to get shorter.
         unseen_steps: in a row that the controller drives without it, after which it may drive onto unseen space.
         held_steps: in a row that the controller drives without it: its plan leads nowhere.
@@ -58,6 +61,7 @@ class SlamCarConfig:
     map: OwnMapConfig = CAR_MAP
     critic: GrowingConfig = field(default_factory=GrowingConfig)
     stuck: StuckConfig = field(default_factory=StuckConfig)
+    lost: LostConfig = field(default_factory=lambda: LostConfig(give_up=100))
     progress: float = 0.3
     unseen_steps: int = 12
     held_steps: int = 25
@@ -74,7 +78,7 @@ class SlamCarAgent:
 
     def __init__(self, config: SlamCarConfig | None = None) -> None:
         self._config = config or SlamCarConfig()
-        self._mpc = SafeMpc(RandomSearch(PROBLEM))
+        self._mpc = SafeMpc(RandomSearch(HASTY))
 
     @property
     def map(self) -> VoxelMap:
@@ -88,7 +92,9 @@ class SlamCarAgent:
         self._car, self._stops = context.car, context.stops
         self._own = OwnMap(context, MapAndPose(), self._config.map, observation)
         self._command, self._fresh = np.zeros(2), True
-        self._trail = Trail(self._car)
+        self._retraces = False  # its last command undid a piece of its trail
+        self._trail = Trail(self._car, self._own.estimate.planar)
+        self._half_angle = float(np.arctan(0.5 * context.camera[0] / context.K[0, 0]))
         self._stuck = Stuck(self._config.stuck)
         self._begin(observation["goal"])
         at = self._own.estimate.planar
@@ -104,6 +110,11 @@ class SlamCarAgent:
             self._own.take(self._command, observation)
         self._fresh = False
         at = self._own.estimate
+        if self._retraces:
+            self._trail.begin(at.planar)
+        else:
+            self._trail.drove(at.planar)
+        self._retraces = False
         tracked = time.perf_counter()
         if not np.array_equal(observation["goal"], self._goal):
             self._begin(observation["goal"])
@@ -111,13 +122,13 @@ class SlamCarAgent:
             self._critic.update(self._own.plan(), at.planar)
         planned = time.perf_counter()
         response = self._recovery.step(self._failure(at))
+        if at.lost > self._config.lost.give_up:
+            response = Response.GIVE_UP
         parking = Parking.DRIVE
         if self._stops and not at.lost and response is not Response.GIVE_UP:
             parking = self._parking.step(at, self._command)
         step = self._respond(response, at) if parking is Parking.DRIVE else self._brake(parking.value)
         self._command = self._car.clip(step.control)
-        if response is not Response.BACK_UP:
-            self._trail.drove(self._command)
         stop = [float(parking in (Parking.STOP, Parking.TRUST))] if self._stops else []
         ended = time.perf_counter()
         return Decision(
@@ -135,7 +146,7 @@ class SlamCarAgent:
         self._goal = np.array(goal)
         self._progress = Progress(self._config.progress)
         target = self._goal.astype(np.float64)
-        self._critic = GrowingCritic(self._car, target, self._config.critic)
+        self._critic = GrowingCritic(self._car, target, self._half_angle, self._config.critic)
         self._parking = ParkingRule(self._car, target)
         self._recovery = Recovery()
         self._mpc.begin(self._command)
@@ -150,6 +161,8 @@ class SlamCarAgent:
         if length is not None:
             self._own.bump(at.planar, length > 0.0)
             return Failure.STUCK
+        if self._parking.waits:  # it is where its plan leads to
+            self._progress.restart()
         if self._critic.aim is not None:
             self._progress.see(self._critic.computed, self._critic.motions(at.planar))
         if self._progress.steps == c.unseen_steps and self._critic.dare(at.planar):
@@ -175,6 +188,8 @@ class SlamCarAgent:
             if at.lost or not leads_into(
                 plan.cells == OCCUPIED, plan.origin, plan.resolution, at.planar, back, self._car
             ):
+                self._trail.undo()
+                self._retraces = True
                 return CarCommand(back, f"{response.value}: {why}")
         if response is Response.CREEP:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")

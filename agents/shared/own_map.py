@@ -3,9 +3,10 @@
 The map is a :class:`VoxelMap` that a :class:`~vssm_gym.agents.shared.mapping.Mapper` builds. Masks over its columns are
 kept with it. A body, a disc or a car's rectangle, disproves any obstacle that is believed to stand where it is. The
 ring around it, over which the camera looks, is free where nothing was seen: around a disc, which turns to where it
-drives, wherever it has been; around a car only where it started. A ring that followed a car would free what it backs
-onto, a step ahead of it. A thin leg, which averages away in cells wider than itself, is remembered as it was seen from
-nearby. Where the camera looked and measured nothing, something is nearer than it measures.
+drives, wherever it has been; around a car only where it started. A ring that moved with a car would mark unseen
+cells behind it as free before it has seen them. A thin leg, which averages away in cells wider than itself, is
+remembered as it was seen from nearby. Where the camera looked and measured nothing, something is nearer than it
+measures.
 """
 
 from dataclasses import dataclass

@@ -71,7 +71,8 @@ class Oracle:
                 min(value, self.step_cost * (1.0 - self.discount**n) / (1.0 - self.discount))
                 + self.step_cost
                 * (
-                    config.effort * (u[0] / car.max_speed) ** 2
+                    config.haste * value
+                    + config.effort * (u[0] / car.max_speed) ** 2
                     + config.smoothness * np.sum(((u - before) / car.limits) ** 2)
                     + config.proximity * np.mean(np.maximum(0.0, 1.0 - clear / config.comfort) ** 2)
                 )

@@ -1,8 +1,8 @@
 """Keep the cost-to-go of one target on a floor plan that grows: computed again where the plan has changed, warm.
 
 The grid of poses is fixed in the world, so that the sweeps start from the last values and nothing is compiled again. It
-covers the start, the target and some room around both; where no path leads through it, it is enlarged by half. Unknown
-cells are passable, at the price of several motions for one.
+covers the start, the target and some room around both; where no path leads through it, it is enlarged. Unknown cells
+are passable, at the price of several motions for one.
 
 The actor keeps off unknown space: what it drives onto has to be seen before. Where the route would meet unseen cells
 that the camera does not show on the poses before (:mod:`vssm_gym.agents.shared.car.looking`), the actor is led first to
@@ -11,7 +11,8 @@ or for which there is none, or before which the car does not get on, it may driv
 at a time: what it has seen meanwhile may lead to a route that needs no other. They keep their price.
 
 It is computed again where the change matters: cells near the route became occupied, many cells changed, what was to be
-looked at was seen, what was dared was driven onto, the car has left the poses with a path, or there is none yet.
+looked at was seen, or is not seen from where it should be, what was dared was driven onto, the car has left the poses
+with a path, or there is none yet.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_closing, binary_dilation
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
 from vssm_gym.agents.shared.car.looking import SEEN_MARGIN, Sight
@@ -29,7 +30,7 @@ from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
-from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
+from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.planning.value_iteration import (
     CostToGo,
     PoseGrid,
@@ -44,6 +45,8 @@ ROUTE_MOTIONS = 120  # of the route at most: 16 m
 TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DRIVEN_SHARE = 0.5  # of the cells that it dared, from which on it has driven onto them: their edge it only passes
+LOOKED = 3  # steps in a row at a pose to look from, after which it does not show what it was to show
+DRIVEN_REST = 0.3  # of the motion that it dared are left where it has driven it
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
 WIDEST = 2  # cells around what it dares
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
@@ -78,7 +81,9 @@ class GrowingCritic:
     poses from which it looks first. Both are None without a path.
     """
 
-    def __init__(self, car: Car, goal: np.ndarray, config: GrowingConfig | None = None) -> None:
+    def __init__(self, car: Car, goal: np.ndarray, half_angle: float, config: GrowingConfig | None = None) -> None:
+        """Follow ``goal`` ``(2,)`` or ``(3,)`` by a camera whose view is ``half_angle`` wide on either side, rad."""
+        self._half_angle = half_angle
         self._car, self._goal, self._config = car, np.asarray(goal, np.float64), config or GrowingConfig()
         self._side, self._corner = 0, np.zeros(2)
         self._used: np.ndarray | None = None  # cells for which the value was computed
@@ -90,29 +95,30 @@ class GrowingCritic:
         self._stale = False  # it has to be computed again at the next update
         self._patch: np.ndarray = NONE  # cells that it looks at first
         self._daring: np.ndarray = NONE  # cells that it may drive onto unseen
+        self._until = -np.inf  # motions that are left when it has driven onto them
         self._dared: np.ndarray = np.zeros((0, 0), bool)  # the same, and room around them
+        self._looked = 0  # steps in a row at a pose to look from
         self._vain: np.ndarray = np.zeros((0, 0), bool)  # cells that it has not seen from where it should have
         self._failed = 0  # times in a row that it did not get on: what cannot be driven around is worth its risk
         self._bold = False  # it may drive onto what it meets first, seen in time or not
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
         self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
-        self._unseen: np.ndarray  # the unknown cells among them that border on no seen one
-        self._driven: np.ndarray = np.zeros((0, 0), bool)  # cells that became known as the car stood on them
+        self._unseen: np.ndarray  # the unknown cells among them that nothing seen encloses
         self._resolution = 0.0
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
         """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
         if self._used is None:
             self._place(plan, planar, 0)
-        self._cut(plan, planar)
+        self._cut(plan)
         self._waited += 1
         if not self._matters(self._plan[0], planar):
             return
         self._compute(planar)
         while self.value is None and self._side + 1 < len(self._config.sides):
             self._place(plan, planar, self._side + 1)
-            self._cut(plan, planar)
+            self._cut(plan)
             self._compute(planar)
 
     @property
@@ -139,11 +145,11 @@ class GrowingCritic:
         """
         if self._followed is None:
             return False
-        met = self._sight(self._unseen).met(descend(self._followed, planar, self._car)[:DARED])
-        if not (len(met) or self.looks):
+        met = self._sight(self._unseen).first_met(descend(self._followed, planar, self._car)[:DARED])
+        if met is None and not self.looks:
             return False
         if self._used is None or np.count_nonzero(self._plan[0] != self._used) < self._config.changed:
-            if not len(met):
+            if met is None:
                 self._vain[tuple(self._patch.T)] = True
             self._failed, self._bold = self._failed + 1, True
         self._stale = True
@@ -173,14 +179,14 @@ class GrowingCritic:
         self._side, self._resolution = side, plan.resolution
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
-        self._dared, self._vain, self._driven = (np.zeros((sides[side], sides[side]), bool) for _ in range(3))
+        self._dared, self._vain = (np.zeros((sides[side], sides[side]), bool) for _ in range(2))
         self._daring = NONE
 
-    def _cut(self, plan: FloorPlan, planar: np.ndarray) -> None:
+    def _cut(self, plan: FloorPlan) -> None:
         """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach.
 
-        Next to a cell that was seen, an unknown one is counted as seen, too, but not next to one that is known only
-        because the car has stood on it: that border would follow a car that drives onto what it has not seen.
+        An unknown cell that known ones enclose, or that lies between a free one and an obstacle, counts as seen. The
+        others at the border of what is known do not: the first unknown cell behind a car may hold a wall.
         """
         n = self._config.sides[self._side]
         cells, occupancy = np.full((n, n), UNKNOWN, np.int8), np.full((n, n), -np.inf, np.float32)
@@ -189,15 +195,10 @@ class GrowingCritic:
         theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
         if all(s.stop > s.start for s in ours):
             cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
-        under = footprint_cells(self._corner, self._resolution, planar, self._car)
-        under = under[np.all((under >= 0) & (under < n), axis=1)]
-        came = np.zeros((n, n), bool)
-        came[tuple(under.T)] = True
-        if self._used is not None and self._plan[0].shape == cells.shape:
-            self._driven |= came & (self._plan[0] == UNKNOWN) & (cells != UNKNOWN)
         self._plan = cells, occupancy
-        shown = (cells != UNKNOWN) & ~self._driven
-        self._unseen = (cells == UNKNOWN) & ~binary_dilation(shown, np.ones((3, 3), bool))
+        known, around = cells != UNKNOWN, np.ones((3, 3), bool)
+        between = binary_dilation(cells == FREE, around) & binary_dilation(cells == OCCUPIED, around)
+        self._unseen = ~(known | between | binary_closing(known, around))
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
@@ -208,9 +209,15 @@ class GrowingCritic:
             return True
         if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
             return True
-        if len(self._daring) and (cells[tuple(self._daring.T)] == UNKNOWN).mean() < 1.0 - DRIVEN_SHARE:
-            self._failed = 0
+        self._looked = self._looked + 1 if self.looks and self.motions(planar) <= 0.0 else 0
+        if self._looked > LOOKED:
+            self._vain[tuple(self._patch.T)] = True
             return True
+        if len(self._daring):
+            driven = (cells[tuple(self._daring.T)] == UNKNOWN).mean() < 1.0 - DRIVEN_SHARE
+            if driven or self.motions(planar) <= self._until:
+                self._failed = 0
+                return True
         if self._waited < self._config.pause:
             return False
         changed = np.count_nonzero(cells != self._used) >= self._config.changed and not self.looks
@@ -229,8 +236,10 @@ class GrowingCritic:
         result = self._best(counts, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
         self.aim, self._followed = None, self.value
-        self._used, self._waited, self._patch, self._near = cells, 0, NONE, nothing
+        self._used, self._patch, self._near = cells, NONE, nothing
+        self._waited = self._looked = 0
         self._dare(NONE)
+        self._until = -np.inf
         bold, self._bold = self._bold, False
         self.computed, self._stale = self.computed + 1, False
         if self._followed is None:
@@ -244,15 +253,20 @@ class GrowingCritic:
             if look.cost_to_go is not None:
                 self._followed, self._patch = look.cost_to_go, patch
                 route = descend(self._followed, planar, self._car)
-        sight = self._sight(self._unseen)
-        blind = sight.blind(route, 1)
-        self._dare(sight.met(route[:DARED]) if bold and not len(blind) else blind)
         self.aim = replace(self._followed, counts=None)
+        sight = self._sight(self._unseen)
+        first = sight.first_blind(route)
+        if first is None and bold:
+            first = sight.first_met(route[:DARED])
+        if first is not None:
+            self._dare(sight.swept(route[first - 1 : first + 1]))
+            before, after = (self.motions(pose) for pose in route[first - 1 : first + 1])
+            self._until = after + DRIVEN_REST * (before - after)
         self._near = self._around(route, nothing)
 
     def _sight(self, unseen: np.ndarray) -> Sight:
         """Return what is seen from where on the newest plan, some of whose cells are unseen."""
-        return Sight(self._plan[0] == OCCUPIED, unseen, self._corner, self._resolution, self._car)
+        return Sight(self._plan[0] == OCCUPIED, unseen, self._corner, self._resolution, self._car, self._half_angle)
 
     def _dare(self, patch: np.ndarray) -> None:
         """Let the actor drive onto a patch of cells as if they were seen; around it only where it failed to before."""

@@ -13,7 +13,7 @@ from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import footprint_cells, heading_grid
 
-HALF_ANGLE = 0.7  # rad, of the view that is counted on: 5 degrees less than the camera's 45 on either side
+EDGE = np.radians(5.0)  # of the camera's view on either side, which is not counted on
 SIGHT_FROM, SIGHT_TO = 0.1, 1.6  # m from the camera, within which a view shows a cell
 AHEAD = 12  # motions of a route that are examined: 1.6 m
 PATCH = 4  # motions from the first blind one on, whose unseen cells are looked at together
@@ -29,12 +29,20 @@ class Sight:
         corner: world position of the centre of cell ``[0, 0]``, m.
         resolution: edge of a cell, m.
         car: whose camera it is.
+        half_angle: of the camera's horizontal view, rad.
     """
 
     def __init__(
-        self, occupied: np.ndarray, unseen: np.ndarray, corner: np.ndarray, resolution: float, car: Car
+        self,
+        occupied: np.ndarray,
+        unseen: np.ndarray,
+        corner: np.ndarray,
+        resolution: float,
+        car: Car,
+        half_angle: float,
     ) -> None:
         self._occupied, self._unseen, self._car = occupied, unseen, car
+        self._half_angle = half_angle - EDGE
         self._corner, self._resolution = corner, resolution
 
     def blind(self, route: np.ndarray, motions: int = PATCH) -> np.ndarray:
@@ -42,18 +50,22 @@ class Sight:
 
         They are those of so many ``motions``, the first blind one among them; none where there is no blind one.
         """
+        k = self.first_blind(route)
+        return np.zeros((0, 2), int) if k is None else self.swept(route[k - 1 : k + motions])
+
+    def first_blind(self, route: np.ndarray) -> int | None:
+        """Return the index of the first pose of a route ``(m, 3)`` where the car meets cells that it has not seen."""
         for k in range(1, min(len(route), AHEAD)):
             under = self.unseen_under(route[k])
             if len(under) and not self.seen(between(route[: k + 1])[:-1], under).all():
-                return self._swept(route[k - 1 : k + motions])
-        return np.zeros((0, 2), int)
+                return k
+        return None
 
-    def met(self, route: np.ndarray) -> np.ndarray:
-        """Return the unseen cells ``(n, 2)`` of the first motion on a route that meets any, seen before or not."""
-        found = (self._swept(route[k : k + 2]) for k in range(len(route) - 1))
-        return next((cells for cells in found if len(cells)), np.zeros((0, 2), int))
+    def first_met(self, route: np.ndarray) -> int | None:
+        """Return the index of the pose to which a route's first motion over unseen cells leads, seen before or not."""
+        return next((k for k in range(1, len(route)) if len(self.swept(route[k - 1 : k + 1]))), None)
 
-    def _swept(self, route: np.ndarray) -> np.ndarray:
+    def swept(self, route: np.ndarray) -> np.ndarray:
         """Return the unseen cells ``(n, 2)`` that the motions of a route meet, their beginning left out."""
         return np.unique(np.concatenate([self.unseen_under(pose) for pose in between(route)]), axis=0)
 
@@ -65,7 +77,7 @@ class Sight:
         to = self._corner + self._resolution * cells - camera
         away = np.hypot(to[..., 0], to[..., 1])
         off = np.abs(wrap_angle(np.arctan2(to[..., 1], to[..., 0]) - poses[:, None, 2]))
-        looks = (off <= HALF_ANGLE) & (away >= SIGHT_FROM) & (away <= SIGHT_TO)
+        looks = (off <= self._half_angle) & (away >= SIGHT_FROM) & (away <= SIGHT_TO)
         pose, cell = np.nonzero(looks)
         clear = self._clear(camera[pose, 0], to[pose, cell], self._occupied)
         found = np.zeros(len(cells), bool)
@@ -92,7 +104,7 @@ class Sight:
         bearing = np.arctan2(to[..., 1], to[..., 0])
         shows = np.zeros((nx, ny, n_headings), bool)
         for k, heading in enumerate(heading_grid(n_headings)):
-            aims = clear & (np.abs(wrap_angle(bearing - heading)) <= 0.7 * HALF_ANGLE)
+            aims = clear & (np.abs(wrap_angle(bearing - heading)) <= 0.7 * self._half_angle)
             shift = np.round(self._car.camera_forward * np.array([np.cos(heading), np.sin(heading)]) / self._resolution)
             at = np.argwhere(aims) - shift.astype(int)
             at = at[np.all((at >= 0) & (at < (nx, ny)), axis=1)]

@@ -66,6 +66,11 @@ class ParkingRule:
         self._before: np.ndarray | None = None
         self._nearest = np.inf  # miss of the pose of rest in the step before
 
+    @property
+    def waits(self) -> bool:
+        """Return True where the mean is in the target's region: the car stands there until its belief is as narrow."""
+        return self._inside > 0
+
     def step(self, at: Localization, command: np.ndarray) -> Parking:
         """Return what to do at a believed estimate, after ``command`` (speed m/s, steering rad) brought the car there.
 

@@ -12,11 +12,13 @@ class StuckConfig:
 
     Args:
         steps: of the window.
+        recent: the last of these steps, in which the car has hardly moved: those before give its servos time.
         length: m, that the commands have to add up to, all forwards or all backwards: servos lag behind a change.
-        share: of it, below which the car has moved.
+        share: of what was commanded in the recent steps, below which the car has hardly moved.
     """
 
     steps: int = 8
+    recent: int = 3
     length: float = 0.08
     share: float = 0.25
 
@@ -24,8 +26,8 @@ class StuckConfig:
 class Stuck:
     """Compare what a car was commanded with where it was.
 
-    How far it has moved is the largest distance between any two of its places: a car that still rolled on as it was
-    commanded back ends where it began.
+    How far it has moved is the largest distance between any two of its recent places: a car that still rolled on as it
+    was commanded back ends where it began. What it drives onto unseen it does not feel, so it is not to push for long.
     """
 
     def __init__(self, config: StuckConfig | None = None) -> None:
@@ -40,12 +42,12 @@ class Stuck:
         c = self._config
         self._motions.append((length, np.array(place, np.float64)))
         lengths = np.array([one for one, _ in self._motions][1:])
-        places = np.array([where for _, where in self._motions])
+        places = np.array([where for _, where in self._motions][-c.recent - 1 :])
         asked = float(np.abs(lengths).sum())
         moved = float(np.hypot(*(places[:, None] - places).T).max())
         if len(self._motions) < c.steps or abs(lengths.sum()) < asked:
             return None
-        if asked <= c.length or moved >= c.share * asked:
+        if asked <= c.length or moved >= c.share * float(np.abs(lengths[-c.recent :]).sum()):
             return None
         self.clear()
         return float(lengths.sum())

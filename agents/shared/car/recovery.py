@@ -11,6 +11,7 @@ import numpy as np
 
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
+from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import Arena, collides, overlaps
 
 BACK_SPEED = 0.25  # m/s, along the path that it came
@@ -18,6 +19,7 @@ CREEP_SPEED = 0.15  # m/s
 CREEP_LENGTH = 0.15  # m that have to be free where it creeps
 BACK_REACH = 0.1  # m that have to be free where it backs up
 REMEMBERED = 120  # pieces of its path that it can drive back along: 3 m
+LEAST, JUMP = 0.01, 0.15  # m from pose to pose: a shorter way is not recorded yet, a longer one was not driven
 
 
 class Failure(Enum):
@@ -44,7 +46,8 @@ class Response(Enum):
     GIVE_UP = "gives up"
 
 
-LASTING = (Failure.LOST, Failure.BLIND, Failure.FROZEN, Failure.REPEATED, Failure.UNCONFIRMED, Failure.NO_PATH)
+WITHOUT_POSE = (Failure.LOST, Failure.BLIND, Failure.FROZEN, Failure.REPEATED, Failure.UNCONFIRMED)
+LASTING = (*WITHOUT_POSE, Failure.NO_PATH)
 # Responses and how many steps each lasts. Those of a lasting failure end with it; the others are carried out.
 RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
     Failure.LOST: (
@@ -75,51 +78,90 @@ RESPONSES: dict[Failure, tuple[tuple[Response, int], ...]] = {
 
 
 class Recovery:
-    """Walk through the table. ``counts`` says how often each response has begun, by name."""
+    """Walk through the table. ``counts`` says how often each response has begun, by name.
+
+    A lasting failure that another one interrupts goes on where it was: two that alternate would otherwise begin anew
+    for ever. Those of a car that is lost are forgotten once it is not lost, and all of them once nothing is wrong.
+    """
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
         self.failure: Failure | None = None
-        self._steps = 0
+        self._steps: Counter[Failure] = Counter()  # that each failure has been responded to
 
     def step(self, failure: Failure | None) -> Response:
         """Return the response of this step to what is wrong now; None: nothing is."""
+        if failure not in WITHOUT_POSE:
+            for past in WITHOUT_POSE if failure else LASTING:
+                self._steps.pop(past, None)
         lasting = self.failure in LASTING
         if failure is not self.failure and (self.failure is None or lasting or failure in LASTING):
-            self.failure, self._steps = failure, 0
+            self.failure = failure
+            if failure is not None and failure not in LASTING:
+                self._steps.pop(failure, None)
         if self.failure is None:
             return Response.DRIVE
         ends = np.cumsum([steps for _, steps in RESPONSES[self.failure]])
-        stage = int(np.searchsorted(ends, self._steps, side="right"))
+        stage = int(np.searchsorted(ends, self._steps[self.failure], side="right"))
         if stage == len(ends):
             self.failure = None
             return Response.DRIVE
         response = RESPONSES[self.failure][stage][0]
-        if self._steps == (ends[stage - 1] if stage else 0):
+        if self._steps[self.failure] == (ends[stage - 1] if stage else 0):
             self.counts[response.value] += 1
-        self._steps += 1
+        self._steps[self.failure] += 1
         return response
 
 
 class Trail:
-    """Remember the arcs that a car has driven, to drive back along them."""
+    """Remember the arcs that a car has driven, to drive back along them.
 
-    def __init__(self, car: Car) -> None:
+    They join poses that it has had by its estimate, not its commands: a car that is held has not driven these.
+    """
+
+    def __init__(self, car: Car, planar: np.ndarray) -> None:
         self._car = car
+        self._last = np.array(planar, np.float64)  # where the newest piece ends
         self._arcs: list[tuple[float, float]] = []  # m, signed, and the steering
 
-    def drove(self, command: np.ndarray) -> None:
-        """Add a command ``(speed, steering)`` that was executed; pieces are no longer than one step back."""
-        length, piece = float(command[0]) * self._car.dt, BACK_SPEED * self._car.dt
-        count = int(np.ceil(abs(length) / piece - 1e-6))
-        self._arcs = [*self._arcs, *[(length / max(count, 1), float(command[1]))] * count][-REMEMBERED:]
+    def drove(self, planar: np.ndarray) -> None:
+        """Add the arc to where the car is now (m, rad); its pieces are no longer than one step back."""
+        x, y, turn = _from(self._last, planar)
+        chord = float(np.hypot(x, y))
+        if chord < LEAST:
+            return
+        if chord > JUMP:  # of the estimate
+            self.begin(planar)
+            return
+        ahead = np.cos(0.5 * turn) * x + np.sin(0.5 * turn) * y  # along its mean heading
+        length = float(np.copysign(chord / np.sinc(0.5 * turn / np.pi), ahead))
+        lock = self._car.max_steering
+        steering = float(np.clip(np.arctan(self._car.wheelbase * turn / length), -lock, lock))
+        count = int(np.ceil(abs(length) / (BACK_SPEED * self._car.dt) - 1e-6))
+        self._arcs = [*self._arcs, *[(length / count, steering)] * count][-REMEMBERED:]
+        self._last = np.array(planar, np.float64)
+
+    def begin(self, planar: np.ndarray) -> None:
+        """Go on from here (m, rad): what lies between is no piece, as the car drove back along the path."""
+        self._last = np.array(planar, np.float64)
 
     def back(self) -> np.ndarray | None:
-        """Return the command that undoes the newest piece, and forget it; None where there is none."""
+        """Return the command that undoes the newest piece; None where there is none."""
         if not self._arcs:
             return None
-        length, steering = self._arcs.pop()
+        length, steering = self._arcs[-1]
         return np.array([-length / self._car.dt, steering])
+
+    def undo(self) -> None:
+        """Forget the newest piece: the command that undoes it is executed."""
+        self._arcs.pop()
+
+
+def _from(start: np.ndarray, end: np.ndarray) -> tuple[float, float, float]:
+    """Return a pose in the frame of another: m ahead, m to the left, rad."""
+    c, s = np.cos(start[2]), np.sin(start[2])
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    return float(c * dx + s * dy), float(c * dy - s * dx), float(wrap_angle(end[2] - start[2]))
 
 
 def creeping(arena: Arena, planar: np.ndarray, car: Car) -> np.ndarray:

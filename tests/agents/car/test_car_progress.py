@@ -25,6 +25,15 @@ def test_a_car_that_stands_although_commanded_is_held_and_says_which_end(sign):
     assert found[-1] is not None and np.sign(found[-1]) == sign
 
 
+@pytest.mark.parametrize("speed", [0.15, -0.15])
+def test_a_car_that_is_held_on_its_way_stops_pushing_after_three_steps(speed):
+    """It creeps, and something that it has not seen holds it from one step to the next."""
+    places = 0.1 * speed * np.minimum(np.arange(20), 10)
+    found = answers(np.full(20, 0.1 * speed), places)
+    first = next(k for k, one in enumerate(found) if one is not None)
+    assert first == 10 + CONFIG.recent
+
+
 @given(st.lists(st.floats(-0.06, 0.06), min_size=1, max_size=40))
 def test_a_car_that_moves_as_commanded_is_not_held(lengths):
     assert answers(np.array(lengths), np.cumsum(lengths)) == [None] * len(lengths)

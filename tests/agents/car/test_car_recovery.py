@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from vssm_gym.agents.shared.car.recovery import (
     BACK_SPEED,
     LASTING,
+    LEAST,
     RESPONSES,
     Failure,
     Recovery,
@@ -58,21 +59,67 @@ def test_a_car_that_is_lost_while_it_backs_up_brakes_first():
     assert recovery.step(Failure.LOST) is Response.BRAKE and recovery.failure is Failure.LOST
 
 
+@pytest.mark.parametrize(
+    "pattern", [(Failure.LOST, Failure.LOST, Failure.UNCONFIRMED), (Failure.REPEATED, Failure.LOST)]
+)
+def test_failures_that_alternate_do_not_begin_anew(pattern):
+    """Each goes on where it was, and the car gives up when one of them has come to its end."""
+    recovery, longest = Recovery(), sum(sum(steps for _, steps in RESPONSES[failure]) for failure in set(pattern))
+    found = [recovery.step(pattern[k % len(pattern)]) for k in range(longest)]
+    assert Response.BACK_UP in found and Response.GIVE_UP in found
+    recovery.step(None)
+    assert recovery.step(pattern[0]) is RESPONSES[pattern[0]][0][0]
+
+
+@pytest.mark.parametrize("between", [Failure.STUCK, Failure.NO_PATH, None])
+def test_a_car_that_knew_its_pose_meanwhile_is_lost_anew(between):
+    recovery = Recovery()
+    for _ in range(10):
+        recovery.step(Failure.LOST)
+    recovery.step(between)
+    assert recovery.step(Failure.LOST) is RESPONSES[Failure.LOST][0][0]
+
+
 commands = st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.5, 0.5)).map(np.array), min_size=1, max_size=25)
 
 
 @given(commands)
 def test_a_trail_leads_back_to_where_it_began(path):
-    trail, pose = Trail(CAR), np.zeros(3)
+    trail, pose = Trail(CAR, np.zeros(3)), np.zeros(3)
     for command in path:
-        trail.drove(command)
         pose = driven(pose, command)
-    steps = 0
+        trail.drove(pose)
     while (command := trail.back()) is not None:
         assert abs(command[0]) <= BACK_SPEED + 1e-9
-        pose, steps = driven(pose, command), steps + 1
-    np.testing.assert_allclose(pose, 0.0, atol=1e-6)
-    assert steps >= sum(abs(speed) for speed, _ in path) / BACK_SPEED - 1e-6
+        trail.undo()
+        pose = driven(pose, command)
+    # up to 1 cm at its end is not recorded, in which it may have turned by that over its turning radius
+    assert np.hypot(*pose[:2]) < LEAST + 0.002 * len(path) and abs(pose[2]) < 0.04
+
+
+def test_a_car_that_is_held_has_driven_nothing():
+    """The estimate jitters by a millimetre: eight steps of commands that did not move it are no path."""
+    trail = Trail(CAR, np.zeros(3))
+    for k in range(8):
+        trail.drove(np.array([0.001 * (-1) ** k, 0.001, 0.001]))
+    assert trail.back() is None
+
+
+def test_an_estimate_that_jumps_was_not_driven():
+    trail = Trail(CAR, np.zeros(3))
+    trail.drove(np.array([0.5, 0.3, 0.0]))
+    assert trail.back() is None
+    trail.drove(np.array([0.52, 0.3, 0.0]))
+    np.testing.assert_allclose(trail.back(), [-0.2, 0.0])
+
+
+def test_a_piece_is_kept_until_it_is_driven():
+    """To ask for the way back discards nothing: a car that brakes before an obstacle is still at its end."""
+    trail = Trail(CAR, np.zeros(3))
+    trail.drove(np.array([0.02, 0.0, 0.0]))
+    assert all(np.allclose(trail.back(), [-0.2, 0.0]) for _ in range(3))
+    trail.undo()
+    assert trail.back() is None
 
 
 def arena(*ahead: int) -> Arena:

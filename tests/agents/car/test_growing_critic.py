@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from vssm_gym.agents.shared.car.growing_critic import TOLERANCE, GrowingConfig, GrowingCritic, descend
+from vssm_gym.agents.shared.car.growing_critic import LOOKED, TOLERANCE, GrowingConfig, GrowingCritic, descend
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.planning.value_iteration import ValueStatus, sweeps
 
-CAR, CELL = Car(), 0.05
+CAR, CELL, HALF_ANGLE = Car(), 0.05, np.pi / 4
 START, GOAL = np.array([0.6, 0.6, 0.0]), np.array([1.8, 1.6, 0.4])
 CONFIG = GrowingConfig(sides=(56, 84), room=0.4, changed=30)
 AWAY = np.array([-1.0, -1.0])  # m, of the plan's first cell
@@ -26,7 +26,7 @@ def plan(known: float, *boxes: tuple[float, float, float, float]) -> FloorPlan:
 
 
 def critic_after(*plans: FloorPlan) -> GrowingCritic:
-    critic = GrowingCritic(CAR, GOAL, CONFIG)
+    critic = GrowingCritic(CAR, GOAL, HALF_ANGLE, CONFIG)
     for k, one in enumerate(plans):
         for _ in range(CONFIG.pause + 1 if k else 1):
             critic.update(one, START)
@@ -103,7 +103,7 @@ def seen(*boxes: tuple[float, float, float, float]) -> FloorPlan:
 
 
 def test_unseen_space_counts_its_motions():
-    critic = GrowingCritic(CAR, np.array([0.1, 0.6, np.pi]), CONFIG)
+    critic = GrowingCritic(CAR, np.array([0.1, 0.6, np.pi]), HALF_ANGLE, CONFIG)
     critic.update(seen((0.8, 2.0, 0.2, 1.0)), np.array([1.2, 0.6, 0.0]))
     ahead, back = critic.value.counted(np.array([[-0.1, 0.6, 0.0]] * 2), np.array([1.0, -1.0]))
     assert (ahead, back) == CONFIG.unknown
@@ -116,7 +116,7 @@ FACING, BEHIND = np.array([1.2, 0.6, 0.0]), np.array([0.2, 0.6, np.pi])
 
 def test_it_looks_before_it_drives_onto_what_it_has_not_seen():
     """Behind it nothing was seen: the actor is led to a pose that faces it, and then to the target."""
-    critic = GrowingCritic(CAR, BEHIND, CONFIG)
+    critic = GrowingCritic(CAR, BEHIND, HALF_ANGLE, CONFIG)
     critic.update(seen(HALL), FACING)
     assert critic.looks and float(critic.aim.at(FACING)) > 0.0
     values = np.asarray(critic.aim.values)
@@ -130,8 +130,21 @@ def test_it_looks_before_it_drives_onto_what_it_has_not_seen():
     np.testing.assert_array_equal(critic.aim.values, critic.value.values)
 
 
+def test_what_is_not_seen_from_where_it_should_be_is_looked_at_no_more():
+    """The car stands at a pose from which the patch should be seen, and it stays unknown."""
+    critic = GrowingCritic(CAR, BEHIND, HALF_ANGLE, CONFIG)
+    critic.update(seen(HALL), FACING)
+    patch, viewpoint = critic._patch, descend(critic._followed, FACING, CAR)[-1]
+    for _ in range(LOOKED):
+        critic.update(seen(HALL), viewpoint)
+        assert critic.computed == 1
+    critic.update(seen(HALL), viewpoint)
+    assert critic.computed == 2 and critic._vain[tuple(patch.T)].all()
+    assert not set(map(tuple, patch)) & set(map(tuple, critic._patch))
+
+
 def test_what_it_keeps_off_is_what_is_occupied_or_unseen():
-    critic = GrowingCritic(CAR, BEHIND, CONFIG)
+    critic = GrowingCritic(CAR, BEHIND, HALF_ANGLE, CONFIG)
     critic.update(seen(HALL), FACING)
     keeps = critic.clearance().at(np.array([[1.8, 0.6], [0.5, 0.6], [1.8, 2.2]]))
     assert keeps[0] > 0.3 and (keeps[1:] < 0.0).all()
@@ -142,7 +155,7 @@ STRAIGHT_BEHIND = np.array([-0.6, 0.6, 0.0])
 
 
 def in_a_corner(*known: tuple[float, float, float, float]) -> GrowingCritic:
-    critic = GrowingCritic(CAR, STRAIGHT_BEHIND, CONFIG)
+    critic = GrowingCritic(CAR, STRAIGHT_BEHIND, HALF_ANGLE, CONFIG)
     critic.update(seen(ROOM, *known), FACING)
     return critic
 
@@ -188,19 +201,35 @@ def test_where_it_does_not_get_on_unseen_space_becomes_cheaper_until_it_has_driv
     np.testing.assert_allclose(critic.value.counted(there - [[0.4, 0.0, 0.0]], back), CONFIG.unknown[1])
 
 
-@pytest.mark.parametrize("stood", [True, False])
-def test_next_to_what_it_only_stood_on_nothing_counts_as_seen(stood):
-    """Cells that become known under the car have no border; those that become known elsewhere have one of a cell."""
+def unseen_in(known: FloorPlan, *places: tuple[float, float]) -> list[bool]:
+    critic = GrowingCritic(CAR, STRAIGHT_BEHIND, HALF_ANGLE, CONFIG)
+    critic.update(known, FACING)
+    cells = np.round((np.array(places) - critic._corner) / CELL).astype(int)
+    return [bool(critic._unseen[tuple(cell)]) for cell in cells]
+
+
+def test_the_first_unknown_cell_behind_a_car_is_unseen():
+    """It counted as seen, and the car backed onto a wall there."""
+    assert unseen_in(seen(ROOM), (1.05, 0.6), (1.0, 0.6), (1.65, 0.6), (1.3, 0.8)) == [True] * 4
+
+
+def test_what_known_cells_enclose_counts_as_seen():
+    """A gap of a cell between known ones; and one between a free cell and an obstacle."""
+    gap = seen((0.9, 1.1, 0.45, 0.75), (1.2, 1.4, 0.45, 0.75))
+    assert unseen_in(gap, (1.15, 0.6), (1.15, 0.9), (0.85, 0.6)) == [False, True, True]
+    gap.cells[tuple(gap.index(np.array([1.5, 0.6])))] = OCCUPIED
+    assert unseen_in(gap, (1.45, 0.6), (1.55, 0.6)) == [False, True]
+
+
+def test_it_decides_anew_where_it_has_driven_what_it_dared():
+    """Also where little of it became known: the cells beside the car stay unknown."""
     critic = in_a_corner()
-    there = np.array([0.7, 0.6, 0.0])
-    left, right = there[0] - CAR.rear_overhang, there[0] - CAR.rear_overhang + CAR.length
-    known = (left + 0.01, right - 0.01, 0.51, 0.69)
-    critic.update(seen(ROOM, known), there if stood else FACING)
-    cells = critic._plan[0]
-    j = round((0.6 - critic._corner[1]) / CELL)
-    first = int(np.flatnonzero(cells[:, j] == FREE)[0])
-    assert cells[first - 1, j] == UNKNOWN and critic._unseen[first - 1, j] == stood
-    assert critic._unseen[first - 2, j]
+    computed, until = critic.computed, critic._until
+    critic.update(seen(ROOM), FACING)
+    assert critic.computed == computed and critic.motions(FACING) > until
+    route = descend(critic._followed, FACING, CAR)
+    critic.update(seen(ROOM), route[1])
+    assert critic.computed == computed + 1
 
 
 def test_it_decides_anew_before_it_dares_where_much_was_seen_meanwhile():

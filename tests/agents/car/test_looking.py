@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.agents.shared.car.looking import HALF_ANGLE, SEEN_MARGIN, SIGHT_TO, Sight, between
+from vssm_gym.agents.shared.car.looking import EDGE, SEEN_MARGIN, SIGHT_TO, Sight, between
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import footprint_cells
 
 CAR, CELL, N = Car(), 0.04, 100
+HALF_ANGLE = np.pi / 4  # rad, of the camera
 CORNER = np.array([-2.0, -2.0])
 
 
@@ -24,8 +25,8 @@ def grid(*boxes: tuple[float, float, float, float]) -> np.ndarray:
     return cells
 
 
-def sight(unseen: np.ndarray, *boxes: tuple[float, float, float, float]) -> Sight:
-    return Sight(grid(*boxes), unseen, CORNER, CELL, CAR)
+def sight(unseen: np.ndarray, *boxes: tuple[float, float, float, float], half_angle: float = HALF_ANGLE) -> Sight:
+    return Sight(grid(*boxes), unseen, CORNER, CELL, CAR, half_angle)
 
 
 def route(steering: float, ahead: float, motions: int = 8) -> np.ndarray:
@@ -60,11 +61,11 @@ def test_what_a_car_meets_unseen(unseen, steering, ahead, blind):
         assert not view.seen(path[1:2], patch).all()
         first = view.blind(path, 1)
         assert 0 < len(first) < len(patch) and set(map(tuple, first)) <= set(map(tuple, patch))
-    met = view.met(path)
-    assert (len(met) > 0) >= blind
-    motions = [np.concatenate([view.unseen_under(pose) for pose in between(path[k : k + 2])]) for k in range(7)]
-    first = next((cells for cells in motions if len(cells)), met)
-    np.testing.assert_array_equal(met, np.unique(first, axis=0))
+    met = view.first_met(path)
+    motions = [np.concatenate([view.unseen_under(pose) for pose in between(path[k - 1 : k + 1])]) for k in range(1, 8)]
+    assert met == next((k for k, cells in enumerate(motions, 1) if len(cells)), None)
+    if blind:
+        assert met <= view.first_blind(path)
 
 
 @pytest.mark.parametrize(("away", "blind"), [(0.02, True), (0.12, False)])
@@ -83,6 +84,14 @@ def test_an_obstacle_before_it_hides_what_lies_beyond():
     assert not sight(BEYOND).seen(np.array([[0.0, 0.0, np.pi]]), cell).any()
 
 
+@pytest.mark.parametrize(("half_angle", "shown"), [(np.pi / 4, True), (np.pi / 6, False)])
+def test_what_a_view_shows_depends_on_the_camera(half_angle, shown):
+    """A cell 35 degrees off, 1 m away."""
+    off = np.radians(35.0)
+    cell = np.round((np.array([np.cos(off) + CAR.camera_forward, np.sin(off)]) - CORNER) / CELL).astype(int)[None]
+    assert sight(BEYOND, half_angle=half_angle).seen(np.zeros((1, 3)), cell).all() == shown
+
+
 @given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2))
 def test_viewpoints_see_the_patch_through_what_is_known(x, y):
     """From each of them it is ahead, within range, and nothing occupied or unseen lies between."""
@@ -98,7 +107,7 @@ def test_viewpoints_see_the_patch_through_what_is_known(x, y):
         camera = pose[:2] + CAR.camera_forward * np.array([np.cos(pose[2]), np.sin(pose[2])])
         to = CORNER + CELL * middle - camera
         assert np.hypot(*to) <= SIGHT_TO + CELL
-        assert abs(wrap_angle(np.arctan2(to[1], to[0]) - pose[2])) <= HALF_ANGLE
+        assert abs(wrap_angle(np.arctan2(to[1], to[0]) - pose[2])) <= HALF_ANGLE - EDGE
         between = camera + np.linspace(0.0, 0.9, 40)[:, None] * to
         cells = np.round((between - CORNER) / CELL).astype(int)
         hidden = (grid((0.14, 0.16, -0.56, 0.56)) | grid((-2.0, -1.04, -2.0, 2.0)))[tuple(cells.T)]

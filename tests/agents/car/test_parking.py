@@ -50,6 +50,17 @@ def test_at_the_rim_it_brakes_where_it_no_longer_comes_closer():
     assert said == [Parking.DRIVE] * 3 + [Parking.BRAKE]
 
 
+def test_it_says_where_it_waits_for_a_narrower_belief():
+    """Held by nothing and led nowhere, it must not count as stuck there: it would back out, and wait anew."""
+    rule = ParkingRule(CAR, GOAL)
+    assert not rule.waits
+    said = parked(rule, at(std=0.05), ParkingConfig().patience)
+    assert rule.waits and set(said) == {Parking.DRIVE}
+    assert Parking.TRUST in parked(rule, at(std=0.05), 4)
+    rule.step(at(x=1.3), STAND)
+    assert not rule.waits
+
+
 @given(st.floats(0.0, 0.2), st.floats(0.0, 0.5), st.floats(0.0, 0.08), st.floats(0.0, 0.2))
 def test_it_stops_if_and_only_if_its_belief_is_inside(away, off, std, turn):
     """2.5 standard deviations of position and heading lie in the region."""

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.agents.car.test_car_agents import ROOMS, context, task
-from vssm_gym.agents.car.slam_car import SlamCarAgent
+from vssm_gym.agents.car.slam_car import SlamCarAgent, SlamCarConfig
 from vssm_gym.agents.shared.car.recovery import RESPONSES, Failure, Response
+from vssm_gym.agents.shared.trust import LostConfig
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.carnav import run_episode
@@ -80,6 +81,25 @@ def test_a_car_whose_camera_fails_stops_nowhere_and_gives_up(agent, env, fault, 
     # Images that stay dark repeat, too: in the end it is frozen images that the car gives up for.
     assert decision.responses[Response.GIVE_UP.value] == 1
     assert decision.responses[RESPONSES[failure][0][0].value] >= 1
+
+
+@pytest.mark.slow
+def test_it_gives_up_after_the_bound_on_steps_without_a_pose():
+    """Whatever the table would try next. Its view is that of the camera that it was given."""
+    made = {"noise": "low", "reward": "sparse", "disable_env_checker": True, "camera": {"hfov": 1.4}}
+    env = gym.make("vssm_gym/CarNav-v1", scene=ROOMS, **made)
+    agent = SlamCarAgent(SlamCarConfig(lost=LostConfig(give_up=5)))
+    observation, info = env.reset(seed=3, options={"task": task((4.6, 2.0, -1.5))})
+    agent.reset(agent_context(env, info), observation, 0)
+    assert agent._half_angle == pytest.approx(0.7)
+    dark = {name: np.zeros_like(observation[name]) for name in ("rgb", "depth")}
+    given_up = []
+    for _ in range(12):
+        decision = agent.act(observation)
+        given_up.append(decision.gives_up)
+        observation = env.step(decision.action)[0] | dark
+    env.close()
+    assert given_up.index(True) == 6 and decision.status.startswith("gave up: lost for")
 
 
 def test_a_robot_that_is_no_car_is_refused():

@@ -33,21 +33,39 @@ def bumpy():
     return value, clearance
 
 
+def hasty(haste: float) -> MpcProblem:
+    return dataclasses.replace(PROBLEM, config=dataclasses.replace(PROBLEM.config, haste=haste))
+
+
 def drawn(seed: int) -> np.ndarray:
     controls = np.random.default_rng(seed).uniform(-1.0, 1.0, (PROBLEM.config.horizon, 2)) * PROBLEM.car.limits
     return np.asarray(objective.within_rates(PROBLEM, jnp.asarray(LAST), jnp.asarray(controls)), np.float64)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_values_are_those_of_the_definition(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "haste"), [(0, 0.0), (1, 0.0), (2, 0.0), (0, 0.1)])
+def test_values_are_those_of_the_definition(seed: int, haste: float) -> None:
+    problem = hasty(haste)
     value, clearance = bumpy()
     controls = drawn(seed)
-    cost, states, clearances = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
+    cost, states, clearances = worlds.Oracle(problem, value, clearance)(START, LAST, controls)
     fields = make_fields(value, clearance, PROBLEM.car)
-    plans = objective.evaluate(PROBLEM, fields, *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)))
+    plans = objective.evaluate(problem, fields, *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)))
     np.testing.assert_allclose(plans.states, states, atol=2e-6)
     np.testing.assert_allclose(plans.clearance, clearances, atol=5e-6)
     np.testing.assert_allclose(plans.cost, cost, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("haste", "gained"), [(0.0, 0.0), (0.1, 1.0)])
+def test_with_haste_it_is_cheaper_to_drive_a_little_way_at_once(haste: float, gained: float) -> None:
+    """Two steps, now or at the end of the horizon: they end at one place, ten units short of the goal."""
+    problem = hasty(haste)
+    value = worlds.value_of(lambda x, y, h: 10.0 - x / worlds.MOTION + 0.0 * (y + h))
+    fields = make_fields(value, worlds.clearance_of(lambda x, y: 1.0 + 0.0 * x), PROBLEM.car)
+    plans = np.zeros((2, PROBLEM.config.horizon, 2))
+    plans[0, 1:3, 0] = plans[1, -3:-1, 0] = 0.3
+    cost = objective.evaluate(problem, fields, jnp.zeros(3), jnp.zeros(2), jnp.asarray(plans, jnp.float32)).cost
+    steps = PROBLEM.config.horizon - 4  # by which one is later than the other, by one unit of the cost-to-go
+    np.testing.assert_allclose(cost[1] - cost[0], gained * haste * steps, atol=0.04)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -99,7 +117,7 @@ def test_ipopts_derivatives_are_exact() -> None:
     """Gradient, Jacobian and Hessian of the NLP equal finite differences in float64, away from solutions."""
     value, clearance = bumpy()
     values, clearances = ValueTable(value, CONFIG.reach), ClearanceTable(clearance, 1.0)
-    solver = ipopt.build(PROBLEM, values, clearances, CONFIG)
+    solver = ipopt.build(hasty(0.1), values, clearances, CONFIG)
     controls = drawn(0)
     _, states, _ = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
     table, value_origin = values.window(states[-1, :2])

@@ -211,7 +211,8 @@ def build(problem: MpcProblem, values: ValueTable, clearances: ClearanceTable, i
     stage = step_cost - width * ca.log1p(ca.exp((step_cost - value) / width))
     limits = ca.DM(car.limits)
     extra = (
-        config.effort * (u[0, :] / car.max_speed) ** 2
+        config.haste * value
+        + config.effort * (u[0, :] / car.max_speed) ** 2
         + config.smoothness * ca.sum1((change / ca.repmat(limits, 1, horizon)) ** 2)
         + config.proximity * ca.sum1(ca.fmax(0.0, 1.0 - clearance / config.comfort) ** 2) / len(centres)
     )

@@ -1,7 +1,8 @@
 """Evaluate cost and constraints of any number of plans, in JAX (eq. P24, P26).
 
     C(u) = sum_{t<T} gamma^t c(z_{t+1}, u_t) + gamma^T J(z_T)
-    c(z, u) = min(s, J(z)) + e (v / v_max)^2 + w sum (Du / limit)^2 + k mean_i max(0, 1 - (d_i - r) / comfort)^2
+    c(z, u) = min(s, J(z)) + s (h J(z) + e (v / v_max)^2 + w sum (Du / limit)^2
+                                + k mean_i max(0, 1 - (d_i - r) / comfort)^2)
     g_ti(u) = d(p_i(z_t)) - r - m  >=  0
 
 Where the cost-to-go counts a motion ``k`` times, a step counts so, too: its discount is ``gamma^n``
@@ -62,7 +63,8 @@ def evaluate(
     counted = 1.0 + (fields.value.counted(states, scaled[..., 0]) - 1.0) * jnp.abs(scaled[..., 0])
     time = fields.step_cost if fields.value.counts is None else _time(fields, counted)
     stage = jnp.minimum(value, time) + fields.step_cost * (
-        config.effort * scaled[..., 0] ** 2
+        config.haste * value
+        + config.effort * scaled[..., 0] ** 2
         + config.smoothness * jnp.sum(change**2, axis=-1)
         + config.proximity * jnp.mean(closeness**2, axis=-1)
     )

@@ -5,7 +5,7 @@
            |speed| and |steering| within the car's limits, and their changes within a rate
 
 ``J`` is the cost-to-go of value iteration, ``d`` the clearance of the floor plan, ``p_i`` the centres of the discs that
-cover the footprint and ``r`` their radius. ``c`` is the step cost of value iteration until ``J`` is zero, and three
+cover the footprint and ``r`` their radius. ``c`` is the step cost of value iteration until ``J`` is zero, and four
 small terms: see :mod:`vssm_gym.planning.mpc.objective`. The transition is the car's bicycle unless another is given.
 """
 
@@ -39,6 +39,8 @@ class MpcConfig:
         effort: cost of a step at full speed, in addition to time; it makes the car stand still at the goal.
         smoothness: cost of changing speed or steering by its whole limit from one step to the next.
         proximity: cost of a step with one disc at clearance zero, falling to zero at ``comfort`` by a parabola.
+        haste: cost of a step for each unit of the cost-to-go where it ends. Without it, two plans that end at one place
+            short of the goal cost the same, and a car that can drive only a little way puts that off at every step.
         tolerance: violation of the clearance constraint that still counts as none, m.
         shortfall: cost of a metre of violation where candidates are ranked: large, yet finite, because the refinement
             repairs small violations.
@@ -57,6 +59,7 @@ class MpcConfig:
     effort: float = 0.02
     smoothness: float = 0.05
     proximity: float = 0.5
+    haste: float = 0.0
     tolerance: float = 1e-3
     shortfall: float = 1e3
     cheaper: float = 0.02
@@ -79,7 +82,7 @@ class MpcConfig:
         for name in ("speed_rate", "steering_rate", "tolerance", "deadline"):
             if not getattr(self, name) > 0.0:
                 raise InputError("MpcConfig", name, f"a positive number; found {getattr(self, name)!r}")
-        for name in ("margin", "effort", "smoothness", "proximity", "shortfall", "cheaper"):
+        for name in ("margin", "effort", "smoothness", "proximity", "haste", "shortfall", "cheaper"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError("MpcConfig", name, f"a finite number, at least 0; found {getattr(self, name)!r}")
         if not (math.isfinite(self.comfort) and self.comfort > self.margin):
