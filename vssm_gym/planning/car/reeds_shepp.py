@@ -62,14 +62,19 @@ def length(start: np.ndarray, goal: np.ndarray, radius: float) -> np.ndarray:
 
 
 def path(start: np.ndarray, goal: np.ndarray, radius: float) -> ReedsSheppPath:
-    """Return the shortest path between two poses ``(3,)``; without segments where they are the same."""
+    """Return the shortest path between two poses ``(3,)``, of equal ones that of the fewest segments.
+
+    It is without segments where the poses are the same.
+    """
     start, goal = _poses(start, "start"), _poses(goal, "goal")
     _check_radius(radius)
     if start.shape != (3,) or goal.shape != (3,):
         raise InputError("reeds_shepp", "start, goal", f"shape (3,); found {start.shape}, {goal.shape}")
     lengths, steerings = np.empty((SOLUTIONS, 5)), np.empty((SOLUTIONS, 5), np.int8)
     count = words(*relative(start[0], start[1], start[2], goal[0], goal[1], goal[2], radius), lengths, steerings)
-    best = int(np.argmin(np.abs(lengths[:count]).sum(axis=1)))
+    total = np.abs(lengths[:count]).sum(axis=1)
+    shortest = np.flatnonzero(total <= total.min() + 1e-12)  # words of equal length differ by rounding
+    best = int(shortest[np.argmin(np.count_nonzero(np.abs(lengths[shortest]) > 1e-12, axis=1))])
     driven = np.flatnonzero(np.abs(lengths[best]) > 1e-12)
     return ReedsSheppPath(start, radius * lengths[best, driven], steerings[best, driven], float(radius))
 
