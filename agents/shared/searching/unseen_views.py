@@ -40,7 +40,7 @@ class UnseenViews:
     def __init__(self, config: UnseenViewsConfig, camera: Camera) -> None:
         self._config = config
         # rad to each side of a heading that an image there shows
-        self._window = math.atan(0.5 * camera.width / float(camera.fx)) - config.margin
+        self._window = math.atan(0.5 * camera.width / float(np.asarray(camera.fx))) - config.margin
         self.chosen: np.ndarray | None = None  # (3,) place and heading
         self._looked: list[np.ndarray] = []
 
