@@ -88,10 +88,16 @@ def test_a_step_renders_few_panoramas_and_none_where_nothing_is_new(found, learn
     search, calls = searched(learned, np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8), 1), []
     assert len(search.places) == CONFIG.panoramas
     assert len(found.places) > 10 * CONFIG.panoramas
+    plan = FloorPlan.of(learned, *BODY_HEIGHTS)
+    for _ in range(200):
+        if found.is_done:
+            break
+        found.step(learned, plan)
+    assert found.is_done
     monkeypatch.setattr("vssm_gym.agents.shared.searching.picture_search.Panoramas.of", lambda *a: calls.append(a))
     monkeypatch.setattr("vssm_gym.agents.shared.searching.picture_search.align_views", lambda *a: calls.append(a))
     for _ in range(CONFIG.every):
-        found.step(learned, FloorPlan.of(learned, *BODY_HEIGHTS))
+        found.step(learned, plan)
     assert not calls
 
 
