@@ -15,7 +15,8 @@ import numpy as np
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
 from vssm_gym.agents.shared.localization import FilteredPose
 from vssm_gym.agents.shared.map_index import MapIndex
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.surroundings import KnownMap
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.emission import RGBD

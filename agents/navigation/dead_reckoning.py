@@ -4,7 +4,8 @@
 """
 
 from vssm_gym.agents.shared.localization import FilteredPose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.recovery import WITHOUT_IMAGES
 from vssm_gym.agents.shared.surroundings import KnownMap
 

@@ -5,7 +5,8 @@
 """
 
 from vssm_gym.agents.shared.localization import TruePose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.surroundings import KnownMap
 
 # The pose is certain but for its rounding to float32, so the robot may stop 2 mm inside the success radius.

@@ -20,7 +20,8 @@ from vssm_gym.agents.shared.frontier_gain import FrontierGain, FrontierGainConfi
 from vssm_gym.agents.shared.manoeuvres import Turn
 from vssm_gym.agents.shared.map_index import rig_of
 from vssm_gym.agents.shared.mapping import MapAndPose
-from vssm_gym.agents.shared.navigator import NO_ROOM, NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import NO_ROOM, Navigator
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure, Response
 from vssm_gym.agents.shared.searching.frontier_goals import FrontierGoals
 from vssm_gym.agents.shared.searching.picture_matches import Match

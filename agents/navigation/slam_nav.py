@@ -5,7 +5,8 @@ and map; A* plans on the belief as it grows, with unknown space at a cost. Descr
 """
 
 from vssm_gym.agents.shared.mapping import MapAndPose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP
 from vssm_gym.agents.shared.surroundings import GrowingMap
 from vssm_gym.agents.shared.trust import LostConfig

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 from vssm_gym.agents.navigation.slam_nav import CONFIG
 from vssm_gym.agents.shared.mapping import MapAndPose, MapAtObservedPose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, WITHOUT, Failure, Response
 from vssm_gym.agents.shared.surroundings import GrowingMap
 from vssm_gym.agents.shared.trust import LostConfig

@@ -17,7 +17,7 @@ from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import features, relative, size_of
 from vssm_gym.agents.shared.localization import FilteredPose, Localization
-from vssm_gym.agents.shared.navigator import NavigationConfig
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
 from vssm_gym.agents.shared.trust import Conduct, gave_up
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import BEAMS, scan_of

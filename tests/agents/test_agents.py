@@ -25,7 +25,7 @@ from vssm_gym.agents.navigation.random import RandomAgent, RandomConfig
 from vssm_gym.agents.registry import AGENTS, make_agent
 from vssm_gym.agents.renamed import RENAMED
 from vssm_gym.agents.shared.localization import FilteredPose, TruePose
-from vssm_gym.agents.shared.navigator import NavigationConfig
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot, execute
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError

@@ -14,7 +14,8 @@ from vssm_gym.agents.exploration.frontier_nearest import NearestFrontier
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.shared.explorer import ExplorationConfig, Explorer
 from vssm_gym.agents.shared.localization import TruePose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.surroundings import KnownMap
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.errors import InputError

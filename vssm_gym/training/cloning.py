@@ -13,7 +13,8 @@ import numpy as np
 
 from vssm_gym.agents.policy.features import size_of
 from vssm_gym.agents.shared.localization import TruePose
-from vssm_gym.agents.shared.navigator import NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import Navigator
 from vssm_gym.agents.shared.surroundings import KnownMap
 from vssm_gym.envs.robots import NOISE_LEVELS, HolonomicRobot
 from vssm_gym.errors import InputError

@@ -12,8 +12,10 @@ from vssm_gym.agents.navigation.slam_nav import CONFIG
 from vssm_gym.agents.navigation.slam_nav_ablations import SlamNavNoRecoveryAgent
 from vssm_gym.agents.shared.following import PlannedPath
 from vssm_gym.agents.shared.localization import Localization
-from vssm_gym.agents.shared.navigator import BLIND, NO_ROOM, NavigationConfig, Navigator
+from vssm_gym.agents.shared.navigation_config import NavigationConfig
+from vssm_gym.agents.shared.navigator import BLIND, NO_ROOM, Navigator
 from vssm_gym.agents.shared.recovery import IN_OWN_MAP, Failure
+from vssm_gym.agents.shared.route import Detour
 from vssm_gym.agents.shared.surroundings import Terrain
 from vssm_gym.envs.robots import NOISE_LEVELS, execute
 from vssm_gym.inference.status import Status
@@ -133,11 +135,11 @@ def test_what_has_changed_may_end_a_detour():
         surroundings = Scripted(changed=lambda k, changed=changed: changed)
         navigator = Navigator(surroundings, NavigationConfig())
         navigator.reset(context(None, START), {"goal": GOAL}, 0)
-        task = navigator._task
-        task.detour = np.array([1.0, 1.0])
-        task.path = PlannedPath(np.array([START[:2], task.detour]), OPEN, 0.01)
+        route = navigator._task.route
+        route.detour = Detour(np.array([1.0, 1.0]), 0.0)
+        route.path = PlannedPath(np.array([START[:2], route.detour.end]), OPEN, 0.01)
         navigator.act({"goal": GOAL})
-        assert (task.detour is None) == bool(len(changed))
+        assert (route.detour is None) == bool(len(changed))
 
 
 def test_one_step_is_no_progress():
