@@ -10,7 +10,6 @@ from tests.helpers.analytic_room import Room, camera_pose
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import update
-from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD, render, world_rays
 from vssm_gym.model.emission_uncertainty import image_std, sample_images
@@ -112,15 +111,6 @@ def test_the_measurement_noise_scales_the_image() -> None:
     image = render(m, T, VIEW)
     std = image_std(m, T, VIEW, image, MeasurementNoise(depth=0.06))[0]
     np.testing.assert_allclose(np.asarray(std).min(), np.hypot(0.03, 0.0014), rtol=1e-3)
-
-
-def test_errors_of_poses_are_seen() -> None:
-    """An error of the mapping pose of 5 cm along x adds to every pixel that looks at the wall."""
-    m, T = wall(9.0), pose()
-    image = render(m, T, VIEW)
-    errors = PoseErrors.of(np.asarray(T)[None], np.diag([0.05**2, 0, 0, 0, 0, 0])[None], VIEW)
-    alone, both = (np.asarray(image_std(m, T, VIEW, image, pose_errors=e)[0], float) for e in (None, errors))
-    np.testing.assert_allclose(np.sqrt(both**2 - alone**2), 0.05, rtol=1e-2)
 
 
 def test_unobserved_pixels_have_no_finite_std(seen: VoxelMap) -> None:

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
-from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.surface_std import differences, surface_std
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import MAX_DEPTH, RGBD, STEP, render, world_rays
@@ -27,12 +26,12 @@ def image_std(
     camera: Camera,
     image: RGBD,
     measurement_noise: MeasurementNoise = MEASUREMENT_NOISE,
-    pose_errors: PoseErrors | None = None,
 ) -> tuple[Float[Array, "height width"], Float[Array, "height width 3"]]:
     """Return the std of a rendered image under ``q(M)``, to first order at the hit (eq. M13).
 
     A surface that moves by ``e`` along its normal ``n`` changes the z-depth along a ray ``c + d r`` by ``e / (n . r)``:
-    ``std d = std(p) / |n . r|``. Colour varies by its own noise and by the change of colour along the ray.
+    ``std d = std(p) / |n . r|``. Colour varies by its own noise and by its change along the ray. The errors of
+    a map at estimated poses are not part of it: they move the map as a whole, and its samples hold them.
 
     Args:
         m: The map belief.
@@ -40,7 +39,6 @@ def image_std(
         camera: Intrinsics and image size.
         image: What :func:`vssm_gym.model.emission.render` gives for them.
         measurement_noise: Std of one observation.
-        pose_errors: Of the poses at which images entered the map; None: they were true.
 
     Returns:
         Depth std (m) and colour std; infinite where the image is not ``known``.
@@ -53,7 +51,7 @@ def image_std(
     steepest = jnp.linalg.norm(gradient, axis=-1) * jnp.linalg.norm(directions, axis=-1)
     cosine = jnp.abs(jnp.sum(gradient * directions, axis=-1)) / jnp.maximum(steepest, 1e-9)
     along = jnp.maximum(cosine, MIN_COSINE) * jnp.linalg.norm(directions, axis=-1)  # n . r
-    depth_variance = (surface_std(m, hit, measurement_noise.reading_std, pose_errors) / along) ** 2
+    depth_variance = (surface_std(m, hit, measurement_noise.reading_std) / along) ** 2
     colour_slope = (m.colour_at(at(depth + 0.5 * e)) - m.colour_at(at(depth - 0.5 * e))) / e
     colour_variance = measurement_noise.colour_std(m.precision(hit)[..., 1]) ** 2
     rgb_variance = colour_variance[:, None] + colour_slope**2 * depth_variance[:, None]
