@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 MOVED = 0.1, 0.2  # m, rad: a pose nearer than both to the last one is not remembered
-NEAREST = 0.1  # m beyond the nearest pose, within which the latest is taken
+AS_NEAR = 0.1  # m beyond the nearest pose, within which the latest is taken
 
 
 @dataclass
@@ -25,4 +25,4 @@ class PoseTrack:
         """Return the pose nearest to ``planar``, the latest of several."""
         poses = np.array(self.poses)
         away = np.hypot(*(poses[:, :2] - planar[:2]).T)
-        return poses[np.flatnonzero(away <= away.min() + NEAREST)[-1]]
+        return poses[np.flatnonzero(away <= away.min() + AS_NEAR)[-1]]
