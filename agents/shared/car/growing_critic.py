@@ -69,7 +69,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (120, 160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 20.0)
+    unknown: tuple[float, float] = (6.0, 60.0)
     near: float = 0.05
     changed: int = 200
     pause: int = 10
