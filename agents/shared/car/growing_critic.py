@@ -6,8 +6,9 @@ are passable, at the price of several motions for one.
 
 The actor keeps off unknown space: what it drives onto has to be seen before. Where the route would meet unseen cells
 that the camera does not show on the poses before (:mod:`vssm_gym.agents.shared.car.looking`), the actor is led first to
-the nearest pose from which they are seen, by a second cost-to-go. Unseen cells that are met on the route to that pose,
-or for which there is none, or before which the car does not get on, it may drive onto; it dares, slowly, and one motion
+the nearest pose from which they are seen, by a second cost-to-go, where the way there risks less: what lies behind the
+car is unseen, too. Unseen cells that are met on the route to that pose, or on the other where it looks at nothing, or
+before which the car does not get on, it may drive onto; it dares, slowly, and one motion
 at a time: what it has seen meanwhile may lead to a route that needs no other. They keep their price.
 
 It is computed again where the change matters: cells near the route became occupied, many cells changed, what was to be
@@ -68,7 +69,7 @@ class GrowingConfig:
 
     sides: tuple[int, ...] = (120, 160, 240, 360)
     room: float = 0.8
-    unknown: tuple[float, float] = (1.5, 20.0)
+    unknown: tuple[float, float] = (6.0, 60.0)
     near: float = 0.05
     changed: int = 200
     pause: int = 10
@@ -251,8 +252,10 @@ class GrowingCritic:
             shows = hoped.viewpoints(patch, ValueConfig().n_headings)
             look = self._best(counts, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start))
             if look.cost_to_go is not None:
-                self._followed, self._patch = look.cost_to_go, patch
-                route = descend(self._followed, planar, self._car)
+                around, prices = descend(look.cost_to_go, planar, self._car), self._config.unknown
+                # To look is worth less than it risks where the way there is itself unseen, such as what lies behind.
+                if hoped.risk(around, prices) < hoped.risk(route, prices):
+                    self._followed, self._patch, route = look.cost_to_go, patch, around
         self.aim = replace(self._followed, counts=None)
         sight = self._sight(self._unseen)
         first = sight.first_blind(route)

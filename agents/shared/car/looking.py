@@ -5,6 +5,7 @@ lies behind. Whether a route's unseen cells are seen before the car is there dep
 computed along the route: a cell is seen from a pose if it lies within the camera's angle and no obstacle is between.
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -55,11 +56,24 @@ class Sight:
 
     def first_blind(self, route: np.ndarray) -> int | None:
         """Return the index of the first pose of a route ``(m, 3)`` where the car meets cells that it has not seen."""
+        return next(self._blind_poses(route), None)
+
+    def risk(self, route: np.ndarray, prices: tuple[float, float]) -> float:
+        """Return the price of the motions of a route ``(m, 3)`` that meet cells which the car has not seen.
+
+        Args:
+            route: poses, one after each motion.
+            prices: of such a motion, forwards and backwards.
+        """
+        ahead = lambda a, b: np.cos(a[2]) * (b[0] - a[0]) + np.sin(a[2]) * (b[1] - a[1]) >= 0.0
+        return sum(prices[0 if ahead(route[k - 1], route[k]) else 1] for k in self._blind_poses(route))
+
+    def _blind_poses(self, route: np.ndarray) -> Iterator[int]:
+        """Yield the indices of the poses of a route where the car meets cells that it has not seen."""
         for k in range(1, min(len(route), AHEAD)):
             under = self.unseen_under(route[k])
             if len(under) and not self.seen(between(route[: k + 1])[:-1], under).all():
-                return k
-        return None
+                yield k
 
     def first_met(self, route: np.ndarray) -> int | None:
         """Return the index of the pose to which a route's first motion over unseen cells leads, seen before or not."""

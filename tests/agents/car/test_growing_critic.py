@@ -1,5 +1,7 @@
 """Test the cost-to-go on a growing floor plan: warm equals cold, computed where it matters, compiled once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -128,6 +130,19 @@ def test_it_looks_before_it_drives_onto_what_it_has_not_seen():
     critic.update(seen((-0.9, 2.8, -0.4, 1.6)), FACING)
     assert not critic.looks
     np.testing.assert_array_equal(critic.aim.values, critic.value.values)
+
+
+def test_it_does_not_back_up_blindly_to_look_at_what_lies_beside_it():
+    """It knows a cone ahead of it; to drive on there risks less than the way back to where it would see more."""
+    x, y = np.meshgrid(*(AWAY[a] + CELL * np.arange(100) for a in (0, 1)), indexing="ij")
+    ahead = (x > 1.2) & (np.abs(y - 0.6) < 0.18 + (x - 1.4)) | (x > 1.1) & (x < 1.55) & (np.abs(y - 0.6) < 0.2)
+    cells = np.where(ahead & (x < 1.8), FREE, UNKNOWN).astype(np.int8)
+    cone = FloorPlan(cells, np.where(cells == FREE, -CELL, -np.inf).astype(np.float32), AWAY, CELL)
+    critic = GrowingCritic(CAR, np.array([0.6, 1.4, np.pi]), HALF_ANGLE, replace(CONFIG, unknown=(1.5, 20.0)))
+    critic.update(cone, FACING)
+    assert critic.aim is not None and not critic.looks
+    first = descend(critic.aim, FACING, CAR)[1]
+    assert first[0] > FACING[0]
 
 
 def test_what_is_not_seen_from_where_it_should_be_is_looked_at_no_more():

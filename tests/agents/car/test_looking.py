@@ -68,6 +68,19 @@ def test_what_a_car_meets_unseen(unseen, steering, ahead, blind):
         assert met <= view.first_blind(path)
 
 
+@pytest.mark.parametrize(
+    ("unseen", "steering", "ahead", "forwards", "backwards"),
+    [(BESIDE, -CAR.max_steering, 1.0, 1, 0), (BEHIND, 0.0, -1.0, 0, 1), (BEYOND, 0.0, 1.0, 0, 0)],
+)
+def test_the_risk_of_a_route_is_the_price_of_its_blind_motions(unseen, steering, ahead, forwards, backwards):
+    path, view = route(steering, ahead), sight(unseen)
+    blind = sum(
+        not view.seen(between(path[: k + 1])[:-1], view.unseen_under(path[k])).all() for k in range(1, len(path))
+    )
+    assert view.risk(path, (6.0, 60.0)) == blind * (6.0 * forwards + 60.0 * backwards)
+    assert (blind > 0) == (forwards + backwards > 0)
+
+
 @pytest.mark.parametrize(("away", "blind"), [(0.02, True), (0.12, False)])
 def test_what_the_actor_keeps_free_has_to_be_seen_too(away, blind):
     """A wall of unseen cells beside a straight drive backwards, at a distance from the footprint's side."""
