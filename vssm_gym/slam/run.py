@@ -89,6 +89,7 @@ class SlamOptions:
     method: str = "prism"  # one of METHODS: map and track, or track in ``map``
     map: Path | None = None  # of the tracker: the file of a learned map
     start: tuple[float, ...] | None = None  # of the tracker: about the first camera's pose, x y z qx qy qz qw
+    refine: bool = False  # whether the smoother follows the filter
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST_IMAGE, self.size, LARGEST_IMAGE, strict=True)):
@@ -117,6 +118,10 @@ class SlamOptions:
         if self.imu and self.method == "tracker":
             expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
             raise InputError("slam", "imu", expected)
+        if self.refine and self.method != "prism":
+            raise InputError(
+                "slam", "refine", "False with method tracker: the map is given, and poses do not change it"
+            )
         if self.start is not None and self.method != "tracker":
             raise InputError("slam", "start", "a pose in a map, with method tracker: a new map begins at the camera")
         if self.start is not None and not (

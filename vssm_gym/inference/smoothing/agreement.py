@@ -9,7 +9,8 @@ with ``m_v`` the element's displacement and ``a_v`` its luminance: the map, whos
 linear Gaussian model is known in closed form, ``m_v = sum_t w_tv r_tv / sum_t w_tv``. With it the cost of the poses
 alone, to second order in their errors ``xi_t``, is
 
-    1/2 sum_v sum_t w_tv (r_tv + J_tv xi_t - m_v(xi))^2,    H_ts = [t = s] sum_v w J J^T - sum_v (w J)_tv (w J)_sv^T / W_v
+    1/2 sum_v sum_t w_tv (r_tv + J_tv xi_t - m_v(xi))^2
+    H_ts = [t = s] sum_v (w J J^T)_tv - sum_v (w J)_tv (w J)_sv^T / W_v,    W_v = sum_t w_tv
 
 The second part couples all images that see an element: a loop is closed in one step, where taking turns between poses
 and map would carry the correction from image to image. The weights are Huber's, about the mean.
@@ -58,7 +59,11 @@ class NormalEquations(NamedTuple):
 
 @partial(jax.jit, static_argnames="config")
 def normal_equations(
-    views: StackedViews, T_world_cam: Float[Array, "time 4 4"], elements: Elements, config: AlignConfig, gate: float
+    views: StackedViews,
+    T_world_cam: Float[Array, "time 4 4"],
+    elements: Elements,
+    config: AlignConfig,
+    gate: float | Array,
 ) -> NormalEquations:
     """Return the cost of the poses with the elements' displacements and luminances integrated out, to second order.
 
@@ -69,7 +74,7 @@ def normal_equations(
         config: standard deviations and weights of the alignment.
         gate: m, within which a plane may belong to an element.
     """
-    see = lambda view: _observe(*view, views.camera, elements, config, gate)
+    see = lambda at: _observe(at[0], at[1], at[2], views.camera, elements, config, gate)
     seen = jax.lax.map(see, (views.plane, views.luminance, T_world_cam))
     shared = seen.seen * (jnp.sum(seen.seen, axis=0) >= 2.0)
     colour_std = jnp.full(seen.std.shape, config.rgb_sigma / config.rgb_weight**0.5)
@@ -104,7 +109,13 @@ def _region(point: Float[Array, "elements 3"]) -> Int[Array, "elements"]:
 
 
 def _observe(
-    plane: Array, grey: Array, T_world_cam: Array, camera: Camera, elements: Elements, config: AlignConfig, gate: float
+    plane: Array,
+    grey: Array,
+    T_world_cam: Array,
+    camera: Camera,
+    elements: Elements,
+    config: AlignConfig,
+    gate: float | Array,
 ) -> Observed:
     """Return what an image observes of each element."""
     T = inverse(T_world_cam)
@@ -126,8 +137,9 @@ def _observe(
     a, b = u - i, v - j
     flat = grey.reshape(-1)
     at = lambda di, dj: flat[(j + dj) * camera.width + i + di]
-    mixed = lambda di, dj: (1.0 - b) * ((1.0 - a) * at(di, dj) + a * at(di + 1, dj)) + b * (
-        (1.0 - a) * at(di, dj + 1) + a * at(di + 1, dj + 1)
+    mixed = lambda di, dj: (
+        (1.0 - b) * ((1.0 - a) * at(di, dj) + a * at(di + 1, dj))
+        + b * ((1.0 - a) * at(di, dj + 1) + a * at(di + 1, dj + 1))
     )
     along_u = 0.5 * (mixed(1, 0) - mixed(-1, 0)) * camera.fx / z
     along_v = 0.5 * (mixed(0, 1) - mixed(0, -1)) * camera.fy / z

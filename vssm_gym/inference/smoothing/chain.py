@@ -2,7 +2,7 @@
 
     e_t = error(E[z_t | z_t-1, u_t-1], z_t) + A_t xi_t-1 + B_t xi_t,    W_t = Q_t^-1
 
-The states hold a pose and what else the transition keeps, such as velocities. These appear in no image, so that they are
+The states hold a pose and what else the transition keeps, such as velocities. No image shows these, so that they are
 integrated out of the system: what remains couples the poses, and the states follow from the poses afterwards.
 """
 
@@ -78,7 +78,9 @@ def of_poses(chain: ChainEquations, poses: int) -> PoseEquations:
     p, r = poses, n - poses
     pose_hessian = _dense(chain.diagonal[:, :p, :p], chain.below[:, :p, :p])
     if not r:
-        return PoseEquations(pose_hessian, chain.gradient.reshape(-1), np.zeros(0), np.zeros((0, time * p)), np.zeros((time, 0, 0)))
+        return PoseEquations(
+            pose_hessian, chain.gradient.reshape(-1), np.zeros(0), np.zeros((0, time * p)), np.zeros((time, 0, 0))
+        )
     across = _dense(chain.diagonal[:, p:, :p], chain.below[:, p:, :p], chain.below[:, :p, p:])
     band = _banded(chain.diagonal[:, p:, p:], chain.below[:, p:, p:])
     right = np.column_stack([chain.gradient[:, p:].reshape(-1), across, np.eye(time * r)])

@@ -96,9 +96,7 @@ def smooth(
         H = hessian + chain.hessian
         xi = -scipy.linalg.solve(H, gradient + chain.gradient, assume_a="pos", check_finite=False)
         costs.append(float(seen.cost))
-        errors = np.concatenate(
-            [xi.reshape(time, p), (chain.rest + chain.by_poses @ xi).reshape(time, n - p)], axis=1
-        )
+        errors = np.concatenate([xi.reshape(time, p), (chain.rest + chain.by_poses @ xi).reshape(time, n - p)], axis=1)
         states = manifold.perturb(states, jnp.asarray(errors, jnp.float32))
         if on_iteration:
             on_iteration(k, costs[-1])
@@ -124,9 +122,7 @@ def _of_bodies(seen: NormalEquations, twists: np.ndarray, data: float) -> tuple[
     )
 
 
-def _covariances(
-    H: np.ndarray, parts: np.ndarray, chain: PoseEquations, time: int
-) -> Float[np.ndarray, "time n n"]:
+def _covariances(H: np.ndarray, parts: np.ndarray, chain: PoseEquations, time: int) -> Float[np.ndarray, "time n n"]:
     """``H^-1 (sum_c g_c g_c^T + P) H^-1``: the covariance of each state, errors within a region c being as one.
 
     The residuals of a surface err alike in all images that see it, so that their number says little. What the parts of

@@ -58,7 +58,9 @@ def stack_views(images: list[RGBD], camera: Camera, depth_std: tuple[float, floa
 
 
 @partial(jax.jit, static_argnames="count")
-def draw_elements(key: PRNGKeyArray, views: StackedViews, T_world_cam: Float[Array, "time 4 4"], count: int) -> Elements:
+def draw_elements(
+    key: PRNGKeyArray, views: StackedViews, T_world_cam: Float[Array, "time 4 4"], count: int
+) -> Elements:
     """Draw pixels that have a plane, all equally likely, and carry their planes into the world.
 
     Args:
