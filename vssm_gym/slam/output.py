@@ -36,7 +36,7 @@ from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
 STATS, REPORT, MANIFEST = "stats.json", "report.html", "slam.json"
-HEADER = "# timestamp tx ty tz qx qy qz qw\n"  # of a trajectory
+TRAJECTORY_HEADER = "# timestamp tx ty tz qx qy qz qw\n"  # of a trajectory
 MOST_OUTSIDE = 0.5  # a larger share of readings outside the map gives a warning
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
@@ -137,7 +137,10 @@ def _process(
     if options.refine:
         refined = refine(filtered, options, on_progress)
         run = refined.run
-        _write(out / TRAJECTORY, HEADER + "".join(tum_line(frame.time, frame.T_world_cam) for frame in run.frames))
+        _write(
+            out / TRAJECTORY,
+            TRAJECTORY_HEADER + "".join(tum_line(frame.time, frame.T_world_cam) for frame in run.frames),
+        )
     truth = Truth.of(run, sequence)
     stats = summarise(run, sequence, options, time.perf_counter() - start, truth)
     if refined is not None:
@@ -280,7 +283,7 @@ class _TrajectoryFile:
         """Write a frame's pose; the first call drops the poses of the same run before, if that did not end."""
         if self._file is None:
             self._file = LineFile(self.out / PARTIAL, keep=0)
-            self._file.append(HEADER.encode())
+            self._file.append(TRAJECTORY_HEADER.encode())
         self._file.append(tum_line(frame.time, frame.T_world_cam).encode())
 
     def __enter__(self) -> "_TrajectoryFile":

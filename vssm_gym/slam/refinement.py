@@ -30,9 +30,9 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.run import SlamOptions, SlamRun
 
 MOST_NODES = 300  # frames that are smoothed: the time of an iteration grows with their square
-FEWEST_NODES = 3
-KEYFRAMES = 64  # whose poses' errors the map holds
-KNOWN = 1e-4  # m, rad: std of the first pose, which is the world's
+FEWEST_NODES = 3  # accepted frames below which nothing is smoothed
+STATED_POSES = 64  # whose poses' errors the map holds
+FIRST_POSE_STD = 1e-4  # m, rad: std of the first pose, which is the world's
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
         jnp.asarray([_velocity(run, int(i)) for i in nodes], jnp.float32),
     )
     manifold, config = prism.transition.manifold, SmoothingConfig(align=align)
-    start = at_rest(manifold, states.T_world_body[0], KNOWN**2 * jnp.eye(6), options.tracking.start_velocity)
+    start = at_rest(manifold, states.T_world_body[0], FIRST_POSE_STD**2 * jnp.eye(6), options.tracking.start_velocity)
     steps = len(nodes) - 1
     found = smooth(
         jax.random.key(options.seed),
@@ -174,7 +174,7 @@ def _mapped(
 
 def _pose_errors(T_world_cam: np.ndarray, covariance: np.ndarray, run: SlamRun, options: SlamOptions) -> PoseErrors:
     """Return the errors of some of the smoothed poses, in the world's tangent."""
-    kept = np.unique(np.linspace(0, len(T_world_cam) - 1, KEYFRAMES).round().astype(int))
+    kept = np.unique(np.linspace(0, len(T_world_cam) - 1, STATED_POSES).round().astype(int))
     adjoint = np.asarray(se3_adjoint(jnp.asarray(T_world_cam[kept], jnp.float32)), np.float64)
     in_world = adjoint @ covariance[kept] @ np.swapaxes(adjoint, 1, 2)
     return PoseErrors.of(T_world_cam[kept], in_world, run.reader.camera, options.max_depth)

@@ -111,6 +111,10 @@ class SlamOptions:
             raise InputError("slam", "solver", f"one of {', '.join(SOLVERS)}, not {self.solver!r}")
         if self.method not in METHODS:
             raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
+        if self.refine and self.method != "prism":
+            raise InputError(
+                "slam", "refine", "False with method tracker: the map is given, and poses do not change it"
+            )
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
         if self.map is not None:
@@ -118,10 +122,6 @@ class SlamOptions:
         if self.imu and self.method == "tracker":
             expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
             raise InputError("slam", "imu", expected)
-        if self.refine and self.method != "prism":
-            raise InputError(
-                "slam", "refine", "False with method tracker: the map is given, and poses do not change it"
-            )
         if self.start is not None and self.method != "tracker":
             raise InputError("slam", "start", "a pose in a map, with method tracker: a new map begins at the camera")
         if self.start is not None and not (

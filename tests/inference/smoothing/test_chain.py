@@ -46,7 +46,7 @@ def dense(chain) -> np.ndarray:
 
 @pytest.mark.parametrize("name", TRANSITIONS)
 def test_the_gradient_is_that_of_the_log_density(name):
-    """Of the squared errors: the noise is that of the state to linearise about."""
+    """It is that of the squared errors: the noise is that of the state to linearise about."""
     transition, start, states, controls = system(name)
     manifold = transition.manifold
     at = lambda tree, t: jax.tree.map(lambda leaf: leaf[t], tree)

@@ -28,9 +28,11 @@ from vssm_gym.geometry.transforms import inverse, transform
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.smoothing.views import Elements, StackedViews
 
-BORDER = 3  # pixels at an image's edge that are not read
+UNREAD_BORDER = 3  # pixels at an image's edge that are not read
 SAME_SIDE = 0.7  # least cosine between the normals of an element and of an image there
-GATE = 4.0  # standard deviations of a reading: planes farther apart than this and the gate are of different surfaces
+FARTHEST = (
+    4.0  # standard deviations of a reading: planes farther apart than this and the gate are of different surfaces
+)
 REGION, REGIONS = 0.4, 509  # m, edge of the cubes in which errors of surfaces count as one; and the most of them
 REWEIGHTED = 2  # times that the weights follow from the mean
 
@@ -53,7 +55,7 @@ class NormalEquations(NamedTuple):
     hessian: Float[Array, "time 6 time 6"]
     gradient: Float[Array, "time 6"]
     by_region: Float[Array, "regions time 6"]  # the gradient's parts, by where the elements are
-    cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most GATE
+    cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most FARTHEST
     pairs: Float[Array, ""]  # of an image and an element that it sees, with another one that sees it
 
 
@@ -123,16 +125,16 @@ def _observe(
     facing = elements.normal @ T[:3, :3].T
     z = jnp.maximum(q[:, 2], 0.1)
     u, v = camera.fx * q[:, 0] / z + camera.cx, camera.fy * q[:, 1] / z + camera.cy
-    high, wide = camera.height - 1 - BORDER, camera.width - 1 - BORDER
-    inside = (q[:, 2] > 0.1) & (u >= BORDER) & (u <= wide) & (v >= BORDER) & (v <= high)
-    u, v = jnp.clip(u, BORDER, wide), jnp.clip(v, BORDER, high)
+    high, wide = camera.height - 1 - UNREAD_BORDER, camera.width - 1 - UNREAD_BORDER
+    inside = (q[:, 2] > 0.1) & (u >= UNREAD_BORDER) & (u <= wide) & (v >= UNREAD_BORDER) & (v <= high)
+    u, v = jnp.clip(u, UNREAD_BORDER, wide), jnp.clip(v, UNREAD_BORDER, high)
     nearest = jnp.round(v).astype(jnp.int32) * camera.width + jnp.round(u).astype(jnp.int32)
     here = plane.reshape(-1, 4)[nearest]
     n = here[:, :3]
     r = jnp.sum(n * q, axis=-1) - here[:, 3]
     std = config.geo_sigma + config.geo_sigma_quadratic * z**2
     same = jnp.sum(n * facing, axis=-1) > SAME_SIDE  # no plane has a normal of 0
-    seen = inside & same & (jnp.abs(r) < jnp.maximum(gate, GATE * std))
+    seen = inside & same & (jnp.abs(r) < jnp.maximum(gate, FARTHEST * std))
     i, j = jnp.floor(u).astype(jnp.int32), jnp.floor(v).astype(jnp.int32)
     a, b = u - i, v - j
     flat = grey.reshape(-1)
@@ -165,4 +167,4 @@ def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: fl
     coupled = (rows.T @ rows).reshape(times, 6, times, 6)
     index = jnp.arange(times)
     hessian = (-coupled).at[index, :, index].add(own)
-    return hessian, weighted * off[..., None], jnp.sum(seen * jnp.minimum(scaled, GATE))
+    return hessian, weighted * off[..., None], jnp.sum(seen * jnp.minimum(scaled, FARTHEST))

@@ -16,8 +16,8 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.alignment.residuals import luminance
 from vssm_gym.model.emission import RGBD
 
-REACH = 2  # pixels on either side, from which a normal is computed
-FLAT = 3.0  # standard deviations of depth by which the neighbours' mean may differ from the middle
+NORMAL_REACH = 2  # pixels on either side, from which a normal is computed
+MOST_BEND = 3.0  # standard deviations of depth by which the neighbours' mean may differ from the middle
 LEAST_COSINE = 0.25  # between ray and normal: what is seen at a smaller angle has no depth to rely on
 
 
@@ -86,17 +86,19 @@ def _planes(depth: Array, camera: Camera, std: float | Array, growth: float | Ar
     depth = jnp.where(jnp.isfinite(depth) & (depth > 0.0), depth, 0.0)
     p = camera.rays() * depth[..., None]
     beside = lambda a, by, axis: (jnp.roll(a, -by, axis), jnp.roll(a, by, axis))
-    (right, left), (down, up) = beside(p, REACH, 1), beside(p, REACH, 0)
+    (right, left), (down, up) = beside(p, NORMAL_REACH, 1), beside(p, NORMAL_REACH, 0)
     normal = jnp.cross(down - up, right - left)
     length = jnp.linalg.norm(normal, axis=-1, keepdims=True)
     normal = normal / jnp.maximum(length, 1e-12)
-    bend = FLAT * (std + growth * depth**2)
+    bend = MOST_BEND * (std + growth * depth**2)
     smooth = (depth > 0.0) & (length[..., 0] > 1e-12)
-    for by in range(1, REACH + 1):
+    for by in range(1, NORMAL_REACH + 1):
         for axis in (0, 1):
             a, b = beside(depth, by, axis)
             smooth &= (a > 0.0) & (b > 0.0) & (jnp.abs(a + b - 2.0 * depth) < 2.0 * bend + 0.01 * depth)
-    smooth = smooth & jnp.zeros_like(smooth).at[REACH + 1 : -REACH - 1, REACH + 1 : -REACH - 1].set(True)
+    smooth = smooth & jnp.zeros_like(smooth).at[
+        NORMAL_REACH + 1 : -NORMAL_REACH - 1, NORMAL_REACH + 1 : -NORMAL_REACH - 1
+    ].set(True)
     ray = camera.rays()
     cosine = jnp.abs(jnp.sum(normal * ray, axis=-1)) / jnp.linalg.norm(ray, axis=-1)
     plane = jnp.concatenate([normal, jnp.sum(normal * p, axis=-1, keepdims=True)], axis=-1)
