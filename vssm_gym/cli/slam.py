@@ -37,6 +37,7 @@ def slam(
     method: Literal["prism", "tracker"] = "prism",
     map: Path | None = None,
     start: str | None = None,
+    refine: bool = False,
     seed: int = 0,
     viewer: bool = False,
 ) -> None:
@@ -61,6 +62,7 @@ def slam(
         method: prism estimates pose and map; tracker estimates the pose in a given map, which stays fixed.
         map: map file for the tracker, from another run of slam or from map build.
         start: x,y,z,qx,qy,qz,qw for the tracker: approximate pose of the first camera in the map (default: its origin).
+        refine: smooth all poses at once when the filter has ended, and make the map anew; for prism.
         imu: predict the motion from imu.txt instead of a constant velocity; the camera must rest for the first half
             second.
         seed: seed of the pose samples, and of the pixels that adam draws.
@@ -86,6 +88,7 @@ def slam(
         imu=imu,
         method=method,
         map=map,
+        refine=refine,
         start=None if start is None else parse_numbers("slam", "start", start, float, "numbers x,y,z,qx,qy,qz,qw"),
     )
     check_folder(out)
@@ -114,7 +117,9 @@ def slam(
         say(f"errors against the ground truth cannot be computed: {errors['impossible']}")
     elif errors:
         held = ", lost frames at their last pose" if lost else ""
-        say(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{held}")
+        before = (stats.get("refinement") or {}).get("ate_before")
+        filtered = f", {100.0 * before['rmse']:.2f} cm before it was refined" if before else ""
+        say(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{filtered}{held}")
     say(out / slam_output.REPORT)
 
 

@@ -26,6 +26,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.figures import STAGES
 from vssm_gym.slam.real_time import real_time
+from vssm_gym.slam.refinement import refine
 from vssm_gym.slam.report import page
 from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame, run_slam
 from vssm_gym.slam.states import Truth, calibration_summary
@@ -35,6 +36,7 @@ from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
 STATS, REPORT, MANIFEST = "stats.json", "report.html", "slam.json"
+TRAJECTORY_HEADER = "# timestamp tx ty tz qx qy qz qw\n"  # of a trajectory
 MOST_OUTSIDE = 0.5  # a larger share of readings outside the map gives a warning
 LATENCY_NOTE = (
     "whole step: from the image in memory to the pose and the updated map; of that, track: prior, rotation between "
@@ -131,8 +133,24 @@ def _process(
 
     with _TrajectoryFile(out) as file:
         run = run_slam(sequence, options, finished, on_progress)
+    filtered, refined = run, None
+    if options.refine:
+        refined = refine(filtered, options, on_progress)
+        run = refined.run
+        _write(
+            out / TRAJECTORY,
+            TRAJECTORY_HEADER + "".join(tum_line(frame.time, frame.T_world_cam) for frame in run.frames),
+        )
     truth = Truth.of(run, sequence)
     stats = summarise(run, sequence, options, time.perf_counter() - start, truth)
+    if refined is not None:
+        before = errors(filtered, sequence)
+        stats["refinement"] = {
+            "frames": len(refined.nodes),
+            "costs": refined.costs,
+            "seconds": refined.seconds,
+            "ate_before": before["ate_translation_se3"] if before and "pairs" in before else None,
+        }
     mesh = surface_mesh(run.map)
     stats["map"] |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
     if viewer:
@@ -265,7 +283,7 @@ class _TrajectoryFile:
         """Write a frame's pose; the first call drops the poses of the same run before, if that did not end."""
         if self._file is None:
             self._file = LineFile(self.out / PARTIAL, keep=0)
-            self._file.append(b"# timestamp tx ty tz qx qy qz qw\n")
+            self._file.append(TRAJECTORY_HEADER.encode())
         self._file.append(tum_line(frame.time, frame.T_world_cam).encode())
 
     def __enter__(self) -> "_TrajectoryFile":

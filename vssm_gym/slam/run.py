@@ -89,6 +89,7 @@ class SlamOptions:
     method: str = "prism"  # one of METHODS: map and track, or track in ``map``
     map: Path | None = None  # of the tracker: the file of a learned map
     start: tuple[float, ...] | None = None  # of the tracker: about the first camera's pose, x y z qx qy qz qw
+    refine: bool = False  # whether the smoother follows the filter
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST_IMAGE, self.size, LARGEST_IMAGE, strict=True)):
@@ -110,6 +111,10 @@ class SlamOptions:
             raise InputError("slam", "solver", f"one of {', '.join(SOLVERS)}, not {self.solver!r}")
         if self.method not in METHODS:
             raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
+        if self.refine and self.method != "prism":
+            raise InputError(
+                "slam", "refine", "False with method tracker: the map is given, and poses do not change it"
+            )
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
         if self.map is not None:

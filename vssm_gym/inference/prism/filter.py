@@ -188,12 +188,7 @@ class Prism:
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
             image = _expose(image, located.gain)
-        m, dropped = state.map, 0
-        if config.window_margin is not None:
-            shift = _shift(m, T[:3, 3], config.window_margin * min(m.shape) * m.voxel_size)
-            if shift.any():
-                m, fell = rolling_window.move(m, shift)
-                dropped = int(fell)
+        m, dropped = self.followed(state.map, T)
         before = drift.precision(m, T, small, view.camera)
         m = clock("map", self._mapped(m, image, past, mapping))
         past = _written(past, before, drift.precision(m, T, small, view.camera), small)
@@ -229,6 +224,22 @@ class Prism:
             errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, past.considered.drift, self.rig.camera, reach)
             m = replace(m, pose_errors=errors)
         return Posterior(past.belief, m, state.measurement_noise)
+
+    def followed(self, m: VoxelMap, T_world_cam: Float[Array, "4 4"]) -> tuple[VoxelMap, int]:
+        """Move the map's window after the camera, where it has one; return how many observed blocks fell out of it.
+
+        Args:
+            m: the map, consumed.
+            T_world_cam: pose of the camera.
+        """
+        margin = self.config.window_margin
+        if margin is None:
+            return m, 0
+        shift = _shift(m, T_world_cam[:3, 3], margin * min(m.shape) * m.voxel_size)
+        if not shift.any():
+            return m, 0
+        m, fell = rolling_window.move(m, shift)
+        return m, int(fell)
 
     @property
     def _turns(self) -> bool:
@@ -298,12 +309,24 @@ def _renewed(past: Past) -> Past:
 
 @partial(jax.jit, static_argnums=3)
 def _in_world(past: Past, start: Float[Array, "3"], transition: Transition, config: PrismConfig) -> GaussianBelief:
-    """``Sigma_w + v v^T + s_c^2 1 + s_d^2 l l^T``: the belief in the world (eq. I24).
+    """Return the belief in the world, with the errors of stamps, calibration and scale."""
+    return with_sensor_errors(past.considered.in_world(past.belief), start, transition, config)
+
+
+def with_sensor_errors(
+    belief: GaussianBelief, start: Float[Array, "3"], transition: Transition, config: PrismConfig
+) -> GaussianBelief:
+    """``Sigma + v v^T + s_c^2 1 + s_d^2 l l^T``: a belief with the errors of stamps, calibration and scale (eq. I24).
 
     ``v = log(T^-1 T(t + s_t))`` is the motion during the stamp's error, ``l`` the displacement since the first image;
     both in the body frame.
+
+    Args:
+        belief: over a state, in the world.
+        start: of the body at the first image, m.
+        transition: how the body moves.
+        config: standard deviations of these errors.
     """
-    belief = past.considered.in_world(past.belief)
     if not (config.stamp_std or config.calibration_std or config.scale_std):
         return belief
     manifold, mean = belief.manifold, belief.mean

@@ -1,0 +1,170 @@
+"""Compare all images of a trajectory at the elements of the surfaces, the map being integrated out (ours).
+
+An image at pose ``T_t`` observes element ``v`` at the pixel ``pi(T_t^-1 p_v)``: the distance of its plane there along
+the normal, and its luminance,
+
+    r_tv = <n, T_t^-1 p_v> - <n, p> = m_v + e,      c_tv = I_t[pi(T_t^-1 p_v)] = a_v + e',      e ~ N(0, s^2)
+
+with ``m_v`` the element's displacement and ``a_v`` its luminance: the map, whose prior is broad. ``q(M)`` of a
+linear Gaussian model is known in closed form, ``m_v = sum_t w_tv r_tv / sum_t w_tv``. With it the cost of the poses
+alone, to second order in their errors ``xi_t``, is
+
+    1/2 sum_v sum_t w_tv (r_tv + J_tv xi_t - m_v(xi))^2
+    H_ts = [t = s] sum_v (w J J^T)_tv - sum_v (w J)_tv (w J)_sv^T / W_v,    W_v = sum_t w_tv
+
+The second part couples all images that see an element: a loop is closed in one step, where taking turns between poses
+and map would carry the correction from image to image. The weights are Huber's, about the mean.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import inverse, transform
+from vssm_gym.inference.alignment.residuals import AlignConfig
+from vssm_gym.inference.smoothing.views import Elements, StackedViews
+
+UNREAD_BORDER = 3  # pixels at an image's edge that are not read
+SAME_SIDE = 0.7  # least cosine between the normals of an element and of an image there
+FARTHEST = (
+    4.0  # standard deviations of a reading: planes farther apart than this and the gate are of different surfaces
+)
+REGION, REGIONS = 0.4, 509  # m, edge of the cubes in which errors of surfaces count as one; and the most of them
+REWEIGHTED = 2  # times that the weights follow from the mean
+
+
+class Observed(NamedTuple):
+    """Hold what one image observes of the elements, with derivatives by the camera's twist."""
+
+    distance: Float[Array, "elements"]  # m, of the element before the image's plane
+    normal: Float[Array, "elements 3"]  # of that plane, world
+    std: Float[Array, "elements"]  # m
+    luminance: Float[Array, "elements"]
+    slope: Float[Array, "elements 3"]  # of the luminance by the place, 1/m, world
+    point: Float[Array, "elements 3"]  # m, the element in the camera's frame
+    seen: Float[Array, "elements"]  # 1, or 0
+
+
+class NormalEquations(NamedTuple):
+    """Hold the quadratic cost of the cameras' twists ``(translation, rotation)``, in their own frames."""
+
+    hessian: Float[Array, "time 6 time 6"]
+    gradient: Float[Array, "time 6"]
+    by_region: Float[Array, "regions time 6"]  # the gradient's parts, by where the elements are
+    cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most FARTHEST
+    pairs: Float[Array, ""]  # of an image and an element that it sees, with another one that sees it
+
+
+@partial(jax.jit, static_argnames="config")
+def normal_equations(
+    views: StackedViews,
+    T_world_cam: Float[Array, "time 4 4"],
+    elements: Elements,
+    config: AlignConfig,
+    gate: float | Array,
+) -> NormalEquations:
+    """Return the cost of the poses with the elements' displacements and luminances integrated out, to second order.
+
+    Args:
+        views: the images.
+        T_world_cam: poses to linearise about.
+        elements: drawn from the images.
+        config: standard deviations and weights of the alignment.
+        gate: m, within which a plane may belong to an element.
+    """
+    see = lambda at: _observe(at[0], at[1], at[2], views.camera, elements, config, gate)
+    seen = jax.lax.map(see, (views.plane, views.luminance, T_world_cam))
+    shared = seen.seen * (jnp.sum(seen.seen, axis=0) >= 2.0)
+    colour_std = jnp.full(seen.std.shape, config.rgb_sigma / config.rgb_weight**0.5)
+    by_pose = lambda gradient: _by_twist(_mean(gradient, shared), T_world_cam, seen.point)
+    geometry = _integrated(seen.distance, by_pose(seen.normal), seen.std, shared, config.huber)
+    colour = _integrated(seen.luminance, by_pose(seen.slope), colour_std, shared, config.huber)
+    hessian, parts = geometry[0] + colour[0], geometry[1] + colour[1]
+    by_region = jax.ops.segment_sum(parts.transpose(1, 0, 2), _region(elements.point), REGIONS)
+    pairs = jnp.sum(shared)
+    cost = (geometry[2] + colour[2]) / jnp.maximum(pairs, 1.0)
+    return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, pairs)
+
+
+def _mean(gradient: Array, seen: Array) -> Float[Array, "elements 3"]:
+    """Return the gradient of each element, of the images that see it.
+
+    One for all: with its own, noisy one each image would resist a motion of all images together, which the map follows.
+    """
+    return jnp.einsum("tv,tvi->vi", seen, gradient) / jnp.maximum(jnp.sum(seen, axis=0), 1.0)[:, None]
+
+
+def _by_twist(gradient: Array, T_world_cam: Array, point: Array) -> Float[Array, "time elements 6"]:
+    """Return derivatives by the twist (t, w) of each camera, which moves a point of its frame by ``-(t + w x q)``."""
+    g = jnp.einsum("vi,tij->tvj", gradient, T_world_cam[:, :3, :3])
+    return -jnp.concatenate([g, jnp.cross(point, g)], axis=-1)
+
+
+def _region(point: Float[Array, "elements 3"]) -> Int[Array, "elements"]:
+    """Return the number of the cube that holds a point; of a hash, so that two far ones may share it."""
+    x, y, z = jnp.moveaxis(jnp.floor(point / REGION).astype(jnp.int32), -1, 0)
+    return jnp.mod(73856093 * x ^ 19349663 * y ^ 83492791 * z, REGIONS)
+
+
+def _observe(
+    plane: Array,
+    grey: Array,
+    T_world_cam: Array,
+    camera: Camera,
+    elements: Elements,
+    config: AlignConfig,
+    gate: float | Array,
+) -> Observed:
+    """Return what an image observes of each element."""
+    T = inverse(T_world_cam)
+    q = transform(T, elements.point)
+    facing = elements.normal @ T[:3, :3].T
+    z = jnp.maximum(q[:, 2], 0.1)
+    u, v = camera.fx * q[:, 0] / z + camera.cx, camera.fy * q[:, 1] / z + camera.cy
+    high, wide = camera.height - 1 - UNREAD_BORDER, camera.width - 1 - UNREAD_BORDER
+    inside = (q[:, 2] > 0.1) & (u >= UNREAD_BORDER) & (u <= wide) & (v >= UNREAD_BORDER) & (v <= high)
+    u, v = jnp.clip(u, UNREAD_BORDER, wide), jnp.clip(v, UNREAD_BORDER, high)
+    nearest = jnp.round(v).astype(jnp.int32) * camera.width + jnp.round(u).astype(jnp.int32)
+    here = plane.reshape(-1, 4)[nearest]
+    n = here[:, :3]
+    r = jnp.sum(n * q, axis=-1) - here[:, 3]
+    std = config.geo_sigma + config.geo_sigma_quadratic * z**2
+    same = jnp.sum(n * facing, axis=-1) > SAME_SIDE  # no plane has a normal of 0
+    seen = inside & same & (jnp.abs(r) < jnp.maximum(gate, FARTHEST * std))
+    i, j = jnp.floor(u).astype(jnp.int32), jnp.floor(v).astype(jnp.int32)
+    a, b = u - i, v - j
+    flat = grey.reshape(-1)
+    at = lambda di, dj: flat[(j + dj) * camera.width + i + di]
+    mixed = lambda di, dj: (
+        (1.0 - b) * ((1.0 - a) * at(di, dj) + a * at(di + 1, dj))
+        + b * ((1.0 - a) * at(di, dj + 1) + a * at(di + 1, dj + 1))
+    )
+    along_u = 0.5 * (mixed(1, 0) - mixed(-1, 0)) * camera.fx / z
+    along_v = 0.5 * (mixed(0, 1) - mixed(0, -1)) * camera.fy / z
+    slope = jnp.stack([along_u, along_v, -(along_u * q[:, 0] + along_v * q[:, 1]) / z], axis=-1)
+    in_world = lambda g: g @ T_world_cam[:3, :3].T
+    return Observed(r, in_world(n), std, mixed(0, 0), in_world(slope), q, seen.astype(jnp.float32))
+
+
+def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: float) -> tuple[Array, Array, Array]:
+    """Return the Hessian, the gradient of each element ``(time, elements, 6)`` and the cost, about the means."""
+    weight = seen / std**2
+    for _ in range(REWEIGHTED + 1):
+        total = jnp.maximum(jnp.sum(weight, axis=0), 1e-12)
+        off = value - jnp.sum(weight * value, axis=0) / total
+        scaled = jnp.abs(off) / std
+        weight = seen / std**2 * jnp.minimum(1.0, huber / jnp.maximum(scaled, 1e-9))
+    total = jnp.maximum(jnp.sum(weight, axis=0), 1e-12)
+    off = value - jnp.sum(weight * value, axis=0) / total
+    weighted = weight[..., None] * by_pose
+    own = jnp.einsum("tvi,tvj->tij", weighted, by_pose)
+    rows = (weighted / jnp.sqrt(total)[:, None]).transpose(1, 0, 2).reshape(value.shape[1], -1)
+    times = len(value)
+    coupled = (rows.T @ rows).reshape(times, 6, times, 6)
+    index = jnp.arange(times)
+    hessian = (-coupled).at[index, :, index].add(own)
+    return hessian, weighted * off[..., None], jnp.sum(seen * jnp.minimum(scaled, FARTHEST))

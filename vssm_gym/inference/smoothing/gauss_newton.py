@@ -1,0 +1,142 @@
+"""Smooth a trajectory by Gauss-Newton on the joint posterior of all its poses, the map integrated out (ours).
+
+Each iteration draws new elements of the surfaces (reconstruction sampling), compares all images at them
+(:mod:`~vssm_gym.inference.smoothing.agreement`), adds the transition (:mod:`~vssm_gym.inference.smoothing.chain`), and
+solves for all poses at once. It starts from a filter's trajectory and takes each image's own information into account
+once, where the filter aligned every image to a map that the images before had written.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.errors import InputError
+from vssm_gym.inference.alignment.residuals import AlignConfig
+from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.smoothing.agreement import NormalEquations, normal_equations
+from vssm_gym.inference.smoothing.chain import PoseEquations, chain_equations, of_poses
+from vssm_gym.inference.smoothing.views import StackedViews, draw_elements
+from vssm_gym.inference.tracking.camera_filter import camera_twists
+from vssm_gym.model.transition.base import Transition
+from vssm_gym.model.transition.belief import GaussianBelief
+
+
+@dataclass(frozen=True)
+class SmoothingConfig:
+    """Configure effort, and the weights of images.
+
+    Args:
+        align: standard deviations and weights of readings and colours.
+        elements: drawn in each iteration.
+        gates: m, within which the planes of images may belong to one element, of each iteration.
+    """
+
+    align: AlignConfig = field(default_factory=AlignConfig)
+    elements: int = 8000
+    gates: tuple[float, ...] = (0.1, 0.1, 0.05, 0.05, 0.05, 0.05)
+
+
+class Smoothed(NamedTuple):
+    """Hold ``q(z_1:T)``: the states and the covariance of each one's error."""
+
+    states: Any  # a pytree with a leading time axis
+    covariance: Float[np.ndarray, "time n n"]
+    costs: list[float]  # of each iteration, before it
+
+
+def smooth(
+    key: PRNGKeyArray,
+    views: StackedViews,
+    rig: Rig,
+    transition: Transition,
+    start: GaussianBelief,
+    states: Any,
+    controls: Float[Array, "steps control"],
+    dt: Float[Array, "steps"],
+    config: SmoothingConfig = SmoothingConfig(),
+    on_iteration: Callable[[int, float], None] | None = None,
+) -> Smoothed:
+    """``argmax p(z_1:T | x_1:T, u_1:T-1)``, and the covariance of its Laplace approximation.
+
+    Args:
+        key: random key, of the elements.
+        views: an image for each state; one without planes says nothing.
+        rig: the camera and its pose on the body.
+        transition: how the body moves.
+        start: ``p(z_1)``, which fixes the frame.
+        states: a filter's estimate, a pytree with a leading time axis.
+        controls: of each step.
+        dt: length of each step, s.
+        config: effort and weights.
+        on_iteration: called with the number of an iteration and its cost.
+
+    Raises:
+        InputError: not one image for each state, or no image with a surface.
+    """
+    time = len(jax.tree.leaves(states)[0])
+    if len(views.luminance) != time:
+        raise InputError("smooth", "views", f"{time} images, one for each state; found {len(views.luminance)}")
+    if not len(views.pixels):
+        raise InputError("smooth", "views", "images that show a surface")
+    manifold, twists = transition.manifold, np.asarray(camera_twists(transition.manifold, rig), np.float64)
+    p, n = twists.shape[1], len(manifold.turns)
+    costs: list[float] = []
+    for k, gate in enumerate(config.gates):
+        T_world_cam = manifold.pose(states) @ rig.T_body_cam
+        elements = draw_elements(jax.random.fold_in(key, k), views, T_world_cam, config.elements)
+        seen = normal_equations(views, T_world_cam, elements, config.align, jnp.float32(gate))
+        hessian, gradient, parts = _of_bodies(seen, twists, len(views.pixels) / config.align.pixels_per_datum)
+        chain = of_poses(chain_equations(transition, start, states, controls, dt), p)
+        H = hessian + chain.hessian
+        xi = -scipy.linalg.solve(H, gradient + chain.gradient, assume_a="pos", check_finite=False)
+        costs.append(float(seen.cost))
+        errors = np.concatenate([xi.reshape(time, p), (chain.rest + chain.by_poses @ xi).reshape(time, n - p)], axis=1)
+        states = manifold.perturb(states, jnp.asarray(errors, jnp.float32))
+        if on_iteration:
+            on_iteration(k, costs[-1])
+    return Smoothed(states, _covariances(H, parts, chain, time), costs)
+
+
+def _of_bodies(seen: NormalEquations, twists: np.ndarray, data: float) -> tuple[np.ndarray, ...]:
+    """Return Hessian, gradient and its parts by region of the images' cost, by the coordinates of the bodies' poses.
+
+    Args:
+        seen: by the twists of the cameras, a sample of the pairs of an image and an element.
+        twists: ``(6, p)`` of the camera, by the coordinates of a pose.
+        data: independent readings of all images together: neighbouring pixels err alike.
+    """
+    share = data / max(float(seen.pairs), 1.0)
+    hessian = np.einsum("ip,tisj,jq->tpsq", twists, np.asarray(seen.hessian, np.float64), twists, optimize=True)
+    gradient = np.asarray(seen.gradient, np.float64) @ twists
+    parts = np.asarray(seen.by_region, np.float64) @ twists
+    return (
+        share * hessian.reshape(gradient.size, gradient.size),
+        share * gradient.reshape(-1),
+        share * parts.reshape(len(parts), -1),
+    )
+
+
+def _covariances(H: np.ndarray, parts: np.ndarray, chain: PoseEquations, time: int) -> Float[np.ndarray, "time n n"]:
+    """``H^-1 (sum_c g_c g_c^T + P) H^-1``: the covariance of each state, errors within a region c being as one.
+
+    The residuals of a surface err alike in all images that see it, so that their number says little. What the parts of
+    the gradient by region differ by says how large the errors are; P is the precision of the transition.
+    """
+    inverse = np.linalg.inv(H)
+    spread = parts @ inverse
+    poses = spread.T @ spread + inverse @ chain.hessian @ inverse
+    p, r = len(H) // time, len(chain.rest) // time
+    across = chain.by_poses @ poses
+    covariance = np.zeros((time, p + r, p + r))
+    for t in range(time):
+        a, b = slice(p * t, p * (t + 1)), slice(r * t, r * (t + 1))
+        covariance[t, :p, :p], covariance[t, p:, :p] = poses[a, a], across[b, a]
+        covariance[t, :p, p:] = across[b, a].T
+        covariance[t, p:, p:] = chain.rest_covariance[t] + across[b] @ chain.by_poses[b].T
+    return covariance
