@@ -1,5 +1,6 @@
 """Test the smoother: it finds a trajectory that was disturbed, states its errors, and respects what it is given."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,6 +74,15 @@ def test_its_errors_are_within_what_it_states(found):
     nees = np.einsum("ti,tij,tj->t", xi, np.linalg.inv(covariance), xi) / 6.0
     assert np.median(nees) < 3.0
     assert np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 6.0).max() < 0.005
+
+
+def test_errors_of_a_surface_widen_the_covariance():
+    """A wall that each image shows at another distance: the same number of readings, stated as less certain."""
+    rng, exact = np.random.default_rng(0), [image(k) for k in range(FRAMES)]
+    far = [jnp.where(one.depth > 2.0, one.depth * (1.0 + 0.03 * rng.normal()), one.depth) for one in exact]
+    moved = [eqx.tree_at(lambda one: one.depth, one, depth) for one, depth in zip(exact, far, strict=True)]
+    std = [np.sqrt(np.trace(smoothed(true_states(), images).covariance[8, :3, :3])) for images in (exact, moved)]
+    assert std[1] > 1.5 * std[0]
 
 
 def test_the_first_pose_stays_and_covariances_are_positive(found):

@@ -8,6 +8,7 @@ CAMERA_FILTER, PRISM = "vssm_gym/inference/tracking/camera_filter.py", "vssm_gym
 OF_ALIGNMENT, OF_PRISM = "tests/inference/alignment/test_alignment.py", "tests/inference/test_prism.py"
 OF_ALGEBRA, OF_DRIFT = "tests/inference/test_linear_gaussian.py", "tests/inference/test_drift.py"
 OF_NOISE, OF_AGREEMENT = "tests/inference/test_process_noise.py", "tests/inference/alignment/test_agreement.py"
+OF_SMOOTHING = "tests/inference/smoothing"
 POSE_UPDATE = "vssm_gym/inference/tracking/pose_update.py"
 ERRORS = "vssm_gym/inference/tracking/error_covariance.py"
 OF_ERRORS = "tests/inference/test_error_covariance.py"
@@ -210,8 +211,8 @@ INFERENCE = (
     Mutant(
         "drift-left-out-of-the-belief",
         PRISM,
-        "belief = past.considered.in_world(past.belief)",
-        "belief = past.belief",
+        "with_sensor_errors(past.considered.in_world(past.belief), start",
+        "with_sensor_errors(past.belief, start",
         (f"{OF_DRIFT}::test_a_belief_in_the_world_includes_the_drift",),
     ),
     Mutant(
@@ -348,5 +349,26 @@ INFERENCE = (
         "(self._rates[first:last] - self.gyro_bias)",
         "self._rates[first:last]",
         ("tests/inference/test_imu_control.py::test_dead_reckoning_with_the_controls_is_the_flight",),
+    ),
+    Mutant(
+        "smoothing-with-each-image's-own-gradient",
+        "vssm_gym/inference/smoothing/agreement.py",
+        'g = jnp.einsum("vi,tij->tvj", gradient, T_world_cam[:, :3, :3])',
+        'g = jnp.einsum("vi,tij->tvj", gradient, T_world_cam[:, :3, :3]) * (1.0 + 0.1 * point[..., :1])',
+        (f"{OF_SMOOTHING}/test_agreement.py::test_a_motion_of_all_cameras_together_changes_nothing",),
+    ),
+    Mutant(
+        "smoothing-with-the-map-held-fixed",
+        "vssm_gym/inference/smoothing/agreement.py",
+        "hessian = (-coupled).at[index, :, index].add(own)",
+        "hessian = jnp.zeros_like(coupled).at[index, :, index].add(own)",
+        (f"{OF_SMOOTHING}/test_agreement.py::test_the_elements_are_integrated_out_as_in_a_dense_system",),
+    ),
+    Mutant(
+        "smoothed-covariance-counts-every-reading",
+        "vssm_gym/inference/smoothing/gauss_newton.py",
+        "poses = spread.T @ spread + inverse @ chain.hessian @ inverse",
+        "poses = inverse",
+        (f"{OF_SMOOTHING}/test_gauss_newton.py::test_errors_of_a_surface_widen_the_covariance",),
     ),
 )

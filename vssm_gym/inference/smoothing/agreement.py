@@ -30,10 +30,8 @@ from vssm_gym.inference.smoothing.views import Elements, StackedViews
 
 UNREAD_BORDER = 3  # pixels at an image's edge that are not read
 SAME_SIDE = 0.7  # least cosine between the normals of an element and of an image there
-FARTHEST = (
-    4.0  # standard deviations of a reading: planes farther apart than this and the gate are of different surfaces
-)
-REGION, REGIONS = 0.4, 509  # m, edge of the cubes in which errors of surfaces count as one; and the most of them
+MOST_APART = 4.0  # standard deviations of a reading, and the gate: planes farther apart are of different surfaces
+CUBE, CUBES = 0.4, 509  # m, edge of the cubes in which errors of surfaces count as one; and the most of them
 REWEIGHTED = 2  # times that the weights follow from the mean
 
 
@@ -55,7 +53,7 @@ class NormalEquations(NamedTuple):
     hessian: Float[Array, "time 6 time 6"]
     gradient: Float[Array, "time 6"]
     by_region: Float[Array, "regions time 6"]  # the gradient's parts, by where the elements are
-    cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most FARTHEST
+    cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most MOST_APART
     pairs: Float[Array, ""]  # of an image and an element that it sees, with another one that sees it
 
 
@@ -84,7 +82,7 @@ def normal_equations(
     geometry = _integrated(seen.distance, by_pose(seen.normal), seen.std, shared, config.huber)
     colour = _integrated(seen.luminance, by_pose(seen.slope), colour_std, shared, config.huber)
     hessian, parts = geometry[0] + colour[0], geometry[1] + colour[1]
-    by_region = jax.ops.segment_sum(parts.transpose(1, 0, 2), _region(elements.point), REGIONS)
+    by_region = jax.ops.segment_sum(parts.transpose(1, 0, 2), _region(elements.point), CUBES)
     pairs = jnp.sum(shared)
     cost = (geometry[2] + colour[2]) / jnp.maximum(pairs, 1.0)
     return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, pairs)
@@ -106,8 +104,8 @@ def _by_twist(gradient: Array, T_world_cam: Array, point: Array) -> Float[Array,
 
 def _region(point: Float[Array, "elements 3"]) -> Int[Array, "elements"]:
     """Return the number of the cube that holds a point; of a hash, so that two far ones may share it."""
-    x, y, z = jnp.moveaxis(jnp.floor(point / REGION).astype(jnp.int32), -1, 0)
-    return jnp.mod(73856093 * x ^ 19349663 * y ^ 83492791 * z, REGIONS)
+    x, y, z = jnp.moveaxis(jnp.floor(point / CUBE).astype(jnp.int32), -1, 0)
+    return jnp.mod(73856093 * x ^ 19349663 * y ^ 83492791 * z, CUBES)
 
 
 def _observe(
@@ -134,7 +132,7 @@ def _observe(
     r = jnp.sum(n * q, axis=-1) - here[:, 3]
     std = config.geo_sigma + config.geo_sigma_quadratic * z**2
     same = jnp.sum(n * facing, axis=-1) > SAME_SIDE  # no plane has a normal of 0
-    seen = inside & same & (jnp.abs(r) < jnp.maximum(gate, FARTHEST * std))
+    seen = inside & same & (jnp.abs(r) < jnp.maximum(gate, MOST_APART * std))
     i, j = jnp.floor(u).astype(jnp.int32), jnp.floor(v).astype(jnp.int32)
     a, b = u - i, v - j
     flat = grey.reshape(-1)
@@ -167,4 +165,4 @@ def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: fl
     coupled = (rows.T @ rows).reshape(times, 6, times, 6)
     index = jnp.arange(times)
     hessian = (-coupled).at[index, :, index].add(own)
-    return hessian, weighted * off[..., None], jnp.sum(seen * jnp.minimum(scaled, FARTHEST))
+    return hessian, weighted * off[..., None], jnp.sum(seen * jnp.minimum(scaled, MOST_APART))
