@@ -17,7 +17,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import open_file
 from vssm_gym.files.numbers import LARGEST_NUMBER
 
-ROWS = 2_000_000  # of a file at most: five hours at 100 Hz
+FLIGHT_ROWS = 2_000_000  # of a file at most: five hours at 100 Hz
 FIELDS = {"ts": 0, "accel_calib": 3, "gyro_calib": 3, "thrust": 3, "traj_target": 7}  # columns of each; 0: a vector
 
 
@@ -59,9 +59,9 @@ def _read(data: Any, path: str | Path, name: str, width: int) -> np.ndarray:
     shape: Any = getattr(data, "shape", None)
     kind = getattr(getattr(data, "dtype", None), "kind", "")
     fits = shape is not None and shape[1:] == ((width,) if width else ()) and kind in "fiu" and kind != ""
-    if not fits or not 0 < shape[0] <= ROWS:
+    if not fits or not 0 < shape[0] <= FLIGHT_ROWS:
         of = f"(rows, {width})" if width else "(rows,)"
-        raise InputError(path, name, f"a data set of numbers {of}, of at most {ROWS:,} rows; found {shape}")
+        raise InputError(path, name, f"a data set of numbers {of}, of at most {FLIGHT_ROWS:,} rows; found {shape}")
     values = np.asarray(data[()], np.float64)
     if not (np.abs(values) <= max(LARGEST_NUMBER, 1e10)).all():  # stamps are seconds since 1970
         raise InputError(path, name, "finite numbers")

@@ -15,12 +15,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from vssm_gym.data.dynamics.log import DynamicsLog, measured_velocity
+from vssm_gym.data.trajectories import LATEST
 from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import is_file, open_file
 from vssm_gym.files.numbers import LARGEST_NUMBER
 
 CSV_BYTES = 256 << 20  # unpacked; an hour at 200 Hz has 100 MB
-LATEST = 1e19  # ns, the largest stamp
 IMU_FILES = ("imu0.csv.gz", "imu0.csv", "imu0/data.csv", "mav0/imu0/data.csv")
 STATES = "state_groundtruth_estimate0"
 STATE_FILES = (

@@ -16,9 +16,9 @@ from vssm_gym.data.trajectories import interpolate
 from vssm_gym.errors import InputError
 
 Kind = Literal["imu", "holonomic", "car"]
-SMOOTHING = 0.1  # s on either side of a pose over which its velocity is measured
+VELOCITY_SPAN = 0.1  # s on either side of a pose over which its velocity is measured
 CUBIC = 3  # degree of the polynomial that is fitted to positions there
-LARGEST_GAP = 0.5  # s between two poses; a longer one is no motion that was measured
+POSE_GAP = 0.5  # s between two poses; a longer one is no motion that was measured
 FEWEST_STEPS = 20  # of a log: less is too little to learn from
 
 
@@ -85,7 +85,7 @@ class Steps:
 
 
 def measured_velocity(times: np.ndarray, T_world_body: np.ndarray) -> Float[np.ndarray, "n 6"]:
-    """Measure velocities of poses: a cubic fit of positions and central differences of rotations over ``SMOOTHING``.
+    """Measure velocities of poses by a cubic fit of positions and differences of rotations over ``VELOCITY_SPAN``.
 
     Args:
         times: ``(n,)`` s, at nearly equal intervals.
@@ -95,7 +95,7 @@ def measured_velocity(times: np.ndarray, T_world_body: np.ndarray) -> Float[np.n
         Linear (m/s) and angular (rad/s) velocity in the world frame.
     """
     dt = float(np.median(np.diff(times)))
-    half = max(1, round(SMOOTHING / dt))
+    half = max(1, round(VELOCITY_SPAN / dt))
     window = 2 * half + 1
     linear = savgol_filter(
         T_world_body[:, :3, 3], window, min(CUBIC, window - 1), deriv=1, delta=dt, axis=0, mode="interp"
@@ -125,8 +125,8 @@ def cut(log: DynamicsLog, step: float | None = None, offset: float = 0.0) -> Ste
     count = int((min(log.times[-1], log.control_times[-1]) - begin) / dt + 1e-6)
     if count < FEWEST_STEPS:
         raise InputError(log.source, "times", f"at least {FEWEST_STEPS} steps of {dt:g} s with poses and controls")
-    if (gap := float(np.diff(log.times).max())) > max(LARGEST_GAP, 2.0 * dt):
-        raise InputError(log.source, "times", f"no gap of more than {LARGEST_GAP} s between poses; found {gap:.2f} s")
+    if (gap := float(np.diff(log.times).max())) > max(POSE_GAP, 2.0 * dt):
+        raise InputError(log.source, "times", f"no gap of more than {POSE_GAP} s between poses; found {gap:.2f} s")
     at = begin + dt * np.arange(count + 1)
     edges = np.searchsorted(log.control_times, at - 1e-6)
     edges[1:] = np.maximum(edges[1:], edges[:-1] + 1)  # a step shorter than an interval holds the last reading

@@ -5,7 +5,7 @@ turns about the vertical: no augmentation by random places and headings is neede
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold, RigidState
 
 
+@runtime_checkable
 class BodyAxes(Protocol):
     """Describe the states of one manifold in body axes."""
 

@@ -24,7 +24,7 @@ from vssm_gym.model.transition.residual_network import ResidualNetwork, new_netw
 from vssm_gym.model.transition.with_rest import RestState, WithRest
 
 REST = 8  # dimensions of the latent rest (VSSM-LM)
-WIDTH, DEPTH = 64, 5  # of the hidden layers, and how many of them (VSSM-LM)
+HIDDEN, RESIDUAL_LAYERS = 64, 5  # of the hidden layers, and how many of them (VSSM-LM)
 CORRECTION_PER_STD = 0.1  # corrections are a small part of what a state changes in a step, in these units they learn
 SMALLEST_STD = 1e-4  # of every noise, in the units of its scale: covariances stay positive definite
 LARGEST_INPUT = 6.0  # standard deviations; inputs beyond it are clipped, where the network knows nothing
@@ -195,8 +195,8 @@ def untrained(
     scales: Scales,
     size: int = REST,
     further: int = 0,
-    width: int = WIDTH,
-    depth: int = DEPTH,
+    width: int = HIDDEN,
+    depth: int = RESIDUAL_LAYERS,
 ) -> LearnedTransition:
     """Return the nominal transition with a network that corrects nothing yet.
 

@@ -7,7 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8  # the published ones
+from vssm_gym.inference.alignment.adam import EPSILON
+
+BETA1, BETA2 = 0.9, 0.999  # the published ones
 
 
 class Moments(eqx.Module):

@@ -24,8 +24,8 @@ from vssm_gym.model.transition.calibrated import CalibratedDrive, CalibratedImu,
 from vssm_gym.model.transition.imu import Imu
 from vssm_gym.training.dynamics.windows import Windows
 
-WINDOWS = 64  # of those given at most: constants are few
-HORIZONS = (0.1, 0.3, 1.0)  # shares of a window at which poses are compared
+FITTED_WINDOWS = 64  # of those given at most: constants are few
+COMPARED_AT = (0.1, 0.3, 1.0)  # shares of a window at which poses are compared
 # Errors of a good fit at the end of ten seconds: they weigh positions against rotations
 POSITION, ROTATION = 0.5, 0.1  # m, rad
 EVALUATIONS = 40  # of the residuals and their derivatives
@@ -65,7 +65,7 @@ def _uncalibrated(nominal: Transition) -> CalibratedDrive:
 
 def _fit(model: Any, free: Callable[[Any], Any], data: Windows, dt: float) -> Any:
     """Return the model with its free leaves at the least squares."""
-    chosen = np.unique(np.linspace(0, len(data) - 1, min(len(data), WINDOWS)).astype(int))
+    chosen = np.unique(np.linspace(0, len(data) - 1, min(len(data), FITTED_WINDOWS)).astype(int))
     some, (start, unravel) = data.take(chosen), jax.flatten_util.ravel_pytree(free(model))
     place = lambda constants: eqx.tree_at(free, model, unravel(constants))
     residuals = jax.jit(partial(_residuals, place, some, dt))
@@ -84,7 +84,7 @@ def _fit(model: Any, free: Callable[[Any], Any], data: Windows, dt: float) -> An
 def _residuals(place: Callable[[Array], Transition], data: Windows, dt: float, constants: Array) -> Array:
     """Return the differences of predicted and measured poses at the horizons."""
     model, length = place(constants), data.controls.shape[1]
-    at = jnp.asarray(sorted({max(1, round(share * length)) - 1 for share in HORIZONS}))
+    at = jnp.asarray(sorted({max(1, round(share * length)) - 1 for share in COMPARED_AT}))
     start, after = (jax.tree.map(lambda a: a[:, part], data.states) for part in (0, slice(1, None)))
     path = predict(model, start, data.controls, dt)
     poses = [model.manifold.pose(jax.tree.map(lambda a: a[:, at], states)) for states in (path, after)]

@@ -7,18 +7,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.transforms import inverse, se3_log
 from vssm_gym.model.predictive import envelope, inside
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
-from vssm_gym.model.transition.learned import LearnedTransition
+from vssm_gym.model.transition.learned import SMALLEST_STD, LearnedTransition
 from vssm_gym.training.dynamics.baselines import predict
 from vssm_gym.training.dynamics.windows import Windows
 
-LEVEL = 0.95  # share of futures that an envelope should hold
-SAMPLES = 128  # paths from each start
+ENVELOPE = 0.95  # share of futures that an envelope should hold
+PATHS = 128  # that are drawn from each start
 
 
 @dataclass(frozen=True)
@@ -66,49 +66,41 @@ def path_errors(transition: Transition, data: Windows, dt: float) -> PathErrors:
 
 @eqx.filter_jit
 def _covered(
-    transition: LearnedTransition,
-    start: Any,
-    controls: Any,
-    after: Any,
-    noise: Any,
-    key: Any,
-    dt: float,
-    coordinates: int,
-) -> Any:
+    transition: LearnedTransition, start: Any, controls: Any, after: Any, noise: Any, key: PRNGKeyArray, dt: float
+) -> tuple[Array, Array]:
     manifold = transition.nominal.manifold
     n, p = len(manifold.turns), manifold.twists.shape[1]
     stds = jnp.zeros(n).at[:p].set(jnp.where(manifold.turns[:p], noise[1], noise[0]))
     by_start, by_path, by_pose = jax.random.split(key, 3)
-    states = transition.extend(GaussianBelief(start, jnp.diag(stds**2), manifold)).sample(by_start, SAMPLES)
+    states = transition.extend(GaussianBelief(start, jnp.diag(stds**2), manifold)).sample(by_start, PATHS)
     paths = transition.sample_paths(by_path, states, controls, dt).body
-    measured = manifold.perturb(paths, jax.random.normal(by_pose, (SAMPLES, len(controls), n)) * stds)
-    return inside(manifold, envelope(manifold, measured, LEVEL, coordinates), after)
+    measured = manifold.perturb(paths, jax.random.normal(by_pose, (PATHS, len(controls), n)) * stds)
+    places = p - int(manifold.turns[:p].sum())
+    position, pose = (inside(manifold, envelope(manifold, measured, ENVELOPE, k), after) for k in (places, p))
+    return position, pose
 
 
 def coverage(
-    transition: LearnedTransition,
-    data: Windows,
-    dt: float,
-    coordinates: int,
-    noise: tuple[float, float] = (0.0, 0.0),
-    seed: int = 0,
-) -> Float[np.ndarray, "time"]:
+    transition: LearnedTransition, data: Windows, dt: float, noise: tuple[float, float] = (0.0, 0.0), seed: int = 0
+) -> Float[np.ndarray, "2 time"]:
     """Measure the share of windows that the envelopes of 95 % of the futures hold, at every step.
 
     Args:
         transition: that predicts, from the measured first state and a rest drawn from its prior.
         data: windows of one length.
         dt: length of a step, s.
-        coordinates: how many of the first coordinates of the error an envelope is about: 3 are a position in space.
         noise: standard deviations of measured positions (m) and rotations (rad): of the start, and of what is compared.
         seed: of the samples.
+
+    Returns:
+        Of envelopes of the position, and of the whole pose.
     """
     held = []
     for k in range(len(data)):
         states = jax.tree.map(lambda a: a[k], data.states)
         start, after = (jax.tree.map(lambda a: a[part], states) for part in (0, slice(1, None)))
         key = jax.random.fold_in(jax.random.key(seed), k)
-        held.append(np.asarray(_covered(transition, start, data.controls[k], after, noise, key, dt, coordinates)))
+        held.append(np.asarray(_covered(transition, start, data.controls[k], after, noise, key, dt)))
     return np.mean(held, axis=0)
 
 
@@ -139,6 +131,6 @@ def step_likelihood(transition: Transition, trained_on: Windows, data: Windows, 
     xi, stds = (np.asarray(a, float) for a in _step_errors(transition, data, dt))
     if not isinstance(transition, LearnedTransition):
         known = np.asarray(_step_errors(transition, trained_on, dt)[0], float)
-        stds = np.broadcast_to(np.sqrt(np.mean(known**2, axis=(0, 1))), xi.shape)
+        stds = np.broadcast_to(np.maximum(np.sqrt(np.mean(known**2, axis=(0, 1))), SMALLEST_STD), xi.shape)
     densities = -0.5 * (xi / stds) ** 2 - np.log(stds) - 0.5 * np.log(2.0 * np.pi)
     return float(densities.sum(axis=-1).mean())

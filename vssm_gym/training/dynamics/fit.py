@@ -25,16 +25,16 @@ from vssm_gym.training.dynamics.windows import Windows, measure_scales
 FIRST_LOG_STD = -5.0  # of measured poses: 7 mm and 7 mrad, as of motion capture
 # Shares of the horizon and of the updates: short windows first, since the gradient of a long path through a bad model
 # points nowhere
-STAGES = ((0.1, 0.1), (0.3, 0.3), (1.0, 0.6))
-CHUNK = 20  # steps over which the evidence is taken, of a window
+HORIZON_STAGES = ((0.1, 0.1), (0.3, 0.3), (1.0, 0.6))
+EVIDENCE_STEPS = 20  # steps over which the evidence is taken, of a window
 # Biases of an IMU change from flight to flight, more than they do within the one that is trained on
 BIAS_STDS = (0.05, 0.005)  # m/s^2, rad/s
 BIAS_SHARE = 0.02  # of the spread of a further control
 JUDGED_EVERY = 50  # updates between two looks at the held-out windows
-JUDGED = 64  # held-out windows at most
+HELD_WINDOWS = 64  # held-out windows at most
 GAINS = np.geomspace(0.25, 8.0, 32)  # of the noise, among which calibration chooses
 CALIBRATED_ON = 24  # held-out windows at most, each of which takes a tenth of a second for every gain
-TARGET = 0.95  # share of held-out states that the envelopes of 95 % should hold
+HELD_SHARE = 0.95  # share of held-out states that the envelopes of 95 % should hold
 
 
 @dataclass(frozen=True)
@@ -104,9 +104,10 @@ def fit(
     config, began = config or FitConfig(), time.monotonic()
     key = jax.random.key(config.seed)
     model = _new_model(key, nominal, data, dt)
-    held = held.take(_spread(len(held), JUDGED))
+    held = held.take(_spread(len(held), HELD_WINDOWS))
     stds = _bias_stds(nominal, model.transition.scales)
     horizon = data.controls.shape[1]
+    untrained_transition = model.transition
     moments, history = no_moments(_trained(model)), list[dict[str, float]]()
     best, score, done, interrupted = model.transition, float(_judge(model.transition, held, dt)), 0, False
     try:
@@ -114,7 +115,7 @@ def fit(
             steps = max(2, round(_share(done / config.updates) * horizon))
             rate = config.rate * 0.5 * (1.0 + np.cos(np.pi * done / config.updates))
             drawn = jax.random.fold_in(key, done)
-            bound, of_evidence = _evidence(model, data, drawn, dt, config.batch, min(CHUNK, horizon), stds)
+            bound, of_evidence = _evidence(model, data, drawn, dt, config.batch, min(EVIDENCE_STEPS, horizon), stds)
             terms, of_prediction = _prediction(model.transition, data, drawn, dt, config.batch, steps, stds)
             model, moments = _step(model, of_evidence, of_prediction, moments, rate, config.decay)
             if done % JUDGED_EVERY == 0 or done == config.updates:
@@ -129,6 +130,8 @@ def fit(
                 break
     except KeyboardInterrupt:
         interrupted = True
+    # Compiled updates return the plain numbers of the nominal step as arrays: those that were given are kept.
+    best = eqx.tree_at(lambda t: t.network, untrained_transition, best.network)
     position, rotation = (float(std) for std in jnp.exp(model.log_stds))
     best, gain = calibrate(best, held, dt, (position, rotation))
     return Fitted(best, done, time.monotonic() - began, interrupted, score, gain, (position, rotation), history)
@@ -149,14 +152,12 @@ def calibrate(
         noise: standard deviations of measured positions (m) and rotations (rad).
     """
     some = held.take(_spread(len(held), CALIBRATED_ON))
-    p = transition.manifold.twists.shape[1]
-    positions = p - int(transition.manifold.turns[:p].sum())
     low, high = 0, len(GAINS) - 1  # coverage grows with the gain: bisection
     while low < high:
         middle = (low + high) // 2
         louder = with_gain(transition, GAINS[middle])
-        share = np.mean([coverage(louder, some, dt, n, noise).mean() for n in (positions, p)])
-        low, high = (middle + 1, high) if share < TARGET else (low, middle)
+        share = coverage(louder, some, dt, noise).mean()
+        low, high = (middle + 1, high) if share < HELD_SHARE else (low, middle)
     return with_gain(transition, GAINS[low]), float(GAINS[low])
 
 
@@ -188,7 +189,9 @@ def _trained(model: Model) -> Any:
 
 
 @partial(jax.jit, static_argnames=("batch", "steps"))
-def _evidence(model: Model, data: Windows, key: PRNGKeyArray, dt: float, batch: int, steps: int) -> tuple[Array, Any]:
+def _evidence(
+    model: Model, data: Windows, key: PRNGKeyArray, dt: float, batch: int, steps: int, bias_stds: Array
+) -> tuple[Array, Any]:
     """Return the ELBO on the beginnings of some windows, and the gradient of its negative."""
     some = _beginnings(data, key, batch, steps, bias_stds)
     loss = lambda trained: -ELBO_WEIGHT * elbo(_placed(model, trained), some, jax.random.fold_in(key, 1), dt)
@@ -245,7 +248,7 @@ def _judge(transition: LearnedTransition, held: Windows, dt: float) -> Float[Arr
 def _share(progress: float) -> float:
     """Return the share of the horizon at a share of the updates."""
     until = 0.0
-    for horizon, updates in STAGES:
+    for horizon, updates in HORIZON_STAGES:
         until += updates
         if progress <= until:
             return horizon

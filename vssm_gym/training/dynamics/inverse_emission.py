@@ -17,7 +17,7 @@ from vssm_gym.model.transition.learned import LearnedTransition, Scales
 from vssm_gym.model.transition.with_rest import RestState
 from vssm_gym.training.dynamics.windows import Windows
 
-WIDTH = 64  # cells in each direction (VSSM-LM)
+LSTM_CELLS = 64  # cells in each direction (VSSM-LM)
 FIRST_STD = 0.5  # of the rest at first, below its prior's: the posterior tells windows apart
 
 
@@ -72,9 +72,9 @@ def new_inverse_emission(key: PRNGKeyArray, transition: LearnedTransition) -> In
     by_forward, by_backward = jax.random.split(key)
     n, r = len(transition.nominal.manifold.turns), transition.size
     inputs = 6 + body_axes(transition.nominal.manifold).features + transition.controls
-    forward, backward = (eqx.nn.LSTMCell(inputs, WIDTH, key=k) for k in (by_forward, by_backward))
+    forward, backward = (eqx.nn.LSTMCell(inputs, LSTM_CELLS, key=k) for k in (by_forward, by_backward))
     offset = jnp.zeros(2 * (n + r)).at[2 * n + r :].set(jnp.log(FIRST_STD))
-    return InverseEmission(forward, backward, jnp.zeros((2 * WIDTH, 2 * (n + r))), offset)
+    return InverseEmission(forward, backward, jnp.zeros((2 * LSTM_CELLS, 2 * (n + r))), offset)
 
 
 def _seen(transition: LearnedTransition, data: Windows, dt: float | Array) -> Float[Array, "batch times inputs"]:

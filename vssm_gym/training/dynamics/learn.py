@@ -28,9 +28,10 @@ from vssm_gym.training.dynamics.fit import FitConfig, Fitted, fit
 from vssm_gym.training.dynamics.windows import Windows, windows
 
 PHASES = 10  # cuts of a log that begin at other times within a step: as many windows of the same motion
-HELD = 0.25  # share of a log, its end, that is not trained on
+HELD_SHARE_OF_LOG = 0.25  # share of a log, its end, that is not trained on
+FEWEST_HELD = 10  # steps that are held out of a log at least
 GAP = 2  # steps between what is trained on and what is held out: velocities are measured over several poses
-SHOWN = 200  # windows at most from which coverage is measured
+COVERED_WINDOWS = 80  # windows at most from which coverage is measured
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,10 @@ def learn(
     dt = trained[0][0].dt
     shortest = min(len(steps) for part in held for steps in part)
     horizon = min(config.horizon, int(0.8 * shortest))
-    if horizon < 2:
-        raise InputError(logs[0].source, "times", f"a longer log: its last {HELD:.0%} has {shortest} steps")
+    if shortest < FEWEST_HELD:
+        raise InputError(
+            logs[0].source, "times", f"a longer log: its last {HELD_SHARE_OF_LOG:.0%} has {shortest} steps"
+        )
     parts = {
         "trained on": windows([s for part in trained for s in part], nominal.manifold, horizon),
         "held out": windows([s for part in held for s in part], nominal.manifold, horizon),
@@ -144,7 +147,7 @@ def cuts(log: DynamicsLog, step: float) -> list[Steps]:
 
 def _divide(phases: list[Steps]) -> tuple[list[Steps], list[Steps]]:
     """Return what is trained on and what is held out, of every cut of a log."""
-    first = round((1.0 - HELD) * min(map(len, phases)))
+    first = round((1.0 - HELD_SHARE_OF_LOG) * min(map(len, phases)))
     return [s.part(0, first - GAP) for s in phases], [s.part(first, len(s)) for s in phases]
 
 
@@ -173,7 +176,7 @@ def compare(
     for name, data in parts.items():
         horizon = data.controls.shape[1]
         at = {str(k): k - 1 for k in sorted({max(1, horizon // 10), max(1, 3 * horizon // 10), horizon})}
-        some = data.take(np.unique(np.linspace(0, len(data) - 1, min(len(data), SHOWN)).round().astype(int)))
+        some = data.take(np.unique(np.linspace(0, len(data) - 1, min(len(data), COVERED_WINDOWS)).round().astype(int)))
         for model_name, model in models.items():
             errors = path_errors(model, data, dt)
             row: dict[str, Any] = {
@@ -194,10 +197,8 @@ def _coverage(
     model: LearnedTransition, data: Windows, dt: float, noise: tuple[float, float], at: dict[str, int]
 ) -> dict[str, dict[str, float]]:
     """Return shares of windows inside envelopes of 95 %: of the position, and of the pose."""
-    turns = model.manifold.turns[: model.manifold.twists.shape[1]]
     result = {}
-    for name, coordinates in (("position", int((~turns).sum())), ("pose", len(turns))):
-        held = coverage(model, data, dt, coordinates, noise)
+    for name, held in zip(("position", "pose"), coverage(model, data, dt, noise), strict=True):
         shares = {k: round(float(held[i]), 3) for k, i in at.items()}
         result[name] = shares | {"all steps": round(float(held.mean()), 3)}
     return result

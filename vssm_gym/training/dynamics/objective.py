@@ -75,16 +75,20 @@ def elbo(model: Model, data: Windows, key: PRNGKeyArray, dt: float | Array) -> F
         control, centre, r, pose, e = now
         step = transition.step(z, control, dt)
         wanted = transition.error_in_body_axes(step.mean, centre)
-        s2, r2 = step.stds**2, r**2
-        variance = s2 * r2 / (s2 + r2)
-        mean = wanted * s2 / (s2 + r2)
-        z = transition.perturb_in_body_axes(step.mean, mean + jnp.sqrt(variance) * e)
-        kl = _divergence(mean, jnp.sqrt(variance), step.stds)
+        mean, std = fused(step.stds, wanted, r)
+        z = transition.perturb_in_body_axes(step.mean, mean + std * e)
+        kl = _divergence(mean, std, step.stds)
         return z, emission(model, z, pose) - kl
 
     controls = jnp.swapaxes(data.controls, 0, 1)
     inputs = (controls, at(centre, slice(1, None)), stds[1:], measured[1:], noise[1:])
     return (start.mean() + jax.lax.scan(advance, z, inputs)[1].sum(axis=0).mean()) / times
+
+
+def fused(prior_std: Array, mean: Array, std: Array) -> tuple[Array, Array]:
+    """``N(0, prior_std^2) N(mean, std^2)`` of independent coordinates: mean and standard deviation of the product."""
+    share = prior_std**2 / (prior_std**2 + std**2)
+    return share * mean, std * jnp.sqrt(share)
 
 
 def emission(model: Model, z: RestState, T_measured: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch"]:
