@@ -54,7 +54,7 @@ def test_a_learned_transition_beats_integration_on_another_flight(parts):
     assert 0.8 < held.mean() <= 1.0
     surer = with_gain(fitted.transition, 0.01)
     assert coverage(surer, parts[1].take(slice(0, None, 10)), DT).mean() < 0.5
-    likelihoods = [step_likelihood(model, parts[0], parts[1], DT) for model in (Imu(), fitted.transition)]
+    likelihoods = [step_likelihood(model, parts[0], parts[1], DT, fitted.noise) for model in (Imu(), fitted.transition)]
     assert likelihoods[1] > likelihoods[0]
 
 

@@ -1,4 +1,4 @@
-"""Define transitions ``p(z' | z, u)`` of robots, rigid bodies, IMUs and cars, and learned ones; and beliefs over states."""
+"""Define transitions ``p(z' | z, u)`` of robots, rigid bodies, IMUs, cars, and learned ones; beliefs over states."""
 
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief, GaussianBelief

@@ -26,7 +26,8 @@ from vssm_gym.model.transition.with_rest import RestState, WithRest
 REST = 8  # dimensions of the latent rest (VSSM-LM)
 HIDDEN, RESIDUAL_LAYERS = 64, 5  # of the hidden layers, and how many of them (VSSM-LM)
 CORRECTION_PER_STD = 0.1  # corrections are a small part of what a state changes in a step, in these units they learn
-SMALLEST_STD = 1e-4  # of every noise, in the units of its scale: covariances stay positive definite
+# Bounds of noise, in the units of its scale: where a network has seen no data, it is neither sure nor lost
+SMALLEST_STD, SMALLEST_REST_STD, LARGEST_LOG_STD = 0.05, 1e-3, 3.0
 LARGEST_INPUT = 6.0  # standard deviations; inputs beyond it are clipped, where the network knows nothing
 
 
@@ -106,7 +107,8 @@ class LearnedTransition(Transition):
         xi = axes.to_errors(after, h * said[..., :n] * CORRECTION_PER_STD * self.scales.errors)
         body = self.nominal.manifold.perturb(after, xi)
         rest = state.rest + h * (said[..., n : n + self.size] - state.rest)
-        stds = units * (SMALLEST_STD + jnp.exp(jnp.clip(said[..., n + self.size :], -9.0, 3.0)))
+        least = jnp.log(jnp.concatenate([jnp.full(n, SMALLEST_STD), jnp.full(self.size, SMALLEST_REST_STD)]))
+        stds = units * jnp.exp(jnp.clip(said[..., n + self.size :], least, LARGEST_LOG_STD))
         return Step(RestState(body, rest), stds * jnp.sqrt(h))
 
     def mean(self, state: RestState, control: Float[Array, "*batch m"], dt: float | Array) -> RestState:

@@ -13,9 +13,9 @@ from vssm_gym.geometry.transforms import inverse, se3_log
 from vssm_gym.model.predictive import envelope, inside
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
-from vssm_gym.model.transition.learned import SMALLEST_STD, LearnedTransition
+from vssm_gym.model.transition.learned import LearnedTransition
 from vssm_gym.training.dynamics.baselines import predict
-from vssm_gym.training.dynamics.windows import Windows
+from vssm_gym.training.dynamics.windows import SMALLEST_ERROR, Windows
 
 ENVELOPE = 0.95  # share of futures that an envelope should hold
 PATHS = 128  # that are drawn from each start
@@ -105,21 +105,25 @@ def coverage(
 
 
 @eqx.filter_jit
-def _step_errors(transition: Transition, data: Windows, dt: float) -> tuple[Any, Any]:
+def _step_errors(transition: Transition, data: Windows, dt: float, noise: tuple[float, float]) -> tuple[Any, Any]:
     """Return pose errors of single steps from every measured state, and their standard deviations (one: unknown)."""
     before, after = (jax.tree.map(lambda a: a[:, part], data.states) for part in (slice(0, -1), slice(1, None)))
     if isinstance(transition, LearnedTransition):
         step = transition.step(transition.start(before), data.controls, dt)
         p = transition.manifold.twists.shape[1]
+        turns = transition.manifold.turns[:p]
         xi = transition.nominal.manifold.error(step.mean.body, after)[..., :p]
-        return xi, step.stds[..., :p]
+        measured = jnp.where(turns, noise[1], noise[0])  # of the start, and of the end
+        return xi, jnp.sqrt(step.stds[..., :p] ** 2 + 2.0 * measured**2)
     p = transition.manifold.twists.shape[1]
     predicted = transition.mean(before, data.controls[..., : transition.controls], dt)
     xi = transition.manifold.error(predicted, after)[..., :p]
     return xi, jnp.ones_like(xi)
 
 
-def step_likelihood(transition: Transition, trained_on: Windows, data: Windows, dt: float) -> float:
+def step_likelihood(
+    transition: Transition, trained_on: Windows, data: Windows, dt: float, noise: tuple[float, float] = (0.0, 0.0)
+) -> float:
     """Measure the log-likelihood of the measured pose after one step from the measured state, nats, the mean.
 
     Args:
@@ -127,10 +131,11 @@ def step_likelihood(transition: Transition, trained_on: Windows, data: Windows, 
         trained_on: windows.
         data: windows that are predicted.
         dt: length of a step, s.
+        noise: standard deviations of measured positions (m) and rotations (rad), which learned noise does not hold.
     """
-    xi, stds = (np.asarray(a, float) for a in _step_errors(transition, data, dt))
+    xi, stds = (np.asarray(a, float) for a in _step_errors(transition, data, dt, noise))
     if not isinstance(transition, LearnedTransition):
-        known = np.asarray(_step_errors(transition, trained_on, dt)[0], float)
-        stds = np.broadcast_to(np.maximum(np.sqrt(np.mean(known**2, axis=(0, 1))), SMALLEST_STD), xi.shape)
+        known = np.asarray(_step_errors(transition, trained_on, dt, noise)[0], float)
+        stds = np.broadcast_to(np.maximum(np.sqrt(np.mean(known**2, axis=(0, 1))), SMALLEST_ERROR), xi.shape)
     densities = -0.5 * (xi / stds) ** 2 - np.log(stds) - 0.5 * np.log(2.0 * np.pi)
     return float(densities.sum(axis=-1).mean())

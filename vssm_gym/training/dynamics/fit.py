@@ -33,7 +33,7 @@ BIAS_SHARE = 0.02  # of the spread of a further control
 JUDGED_EVERY = 50  # updates between two looks at the held-out windows
 HELD_WINDOWS = 64  # held-out windows at most
 GAINS = np.geomspace(0.25, 8.0, 32)  # of the noise, among which calibration chooses
-CALIBRATED_ON = 24  # held-out windows at most, each of which takes a tenth of a second for every gain
+CALIBRATED_ON = 64  # held-out windows at most, each of which takes a tenth of a second for every gain
 HELD_SHARE = 0.95  # share of held-out states that the envelopes of 95 % should hold
 
 

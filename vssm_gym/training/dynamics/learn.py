@@ -183,7 +183,7 @@ def compare(
                 "windows": len(data),
                 "position": {k: round(float(errors.position[i]), 4) for k, i in at.items()},
                 "rotation": {k: round(float(errors.rotation[i]), 4) for k, i in at.items()},
-                "log_likelihood": round(step_likelihood(model, parts["trained on"], data, dt), 3),
+                "log_likelihood": round(step_likelihood(model, parts["trained on"], data, dt, noise), 3),
             }
             if isinstance(model, LearnedTransition):
                 row["coverage"] = _coverage(model, some, dt, noise, at)
