@@ -45,6 +45,7 @@ for _module in ("data.trajectories", "data.images", "data.intrinsics"):
     ALLOWED[_module] = set(BASE)
 ALLOWED["data.index"] = BASE | {"data.trajectories", "data.images"}
 ALLOWED["data.sequences"] = BASE | {"data.trajectories", "data.images", "data.index", "data.intrinsics"}
+ALLOWED["data.dynamics"] = BASE | {"data.trajectories", "data.sequences"}
 ALLOWED["data.handheld"] = BASE | {"envs"}
 ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "planning"}
 ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
@@ -59,6 +60,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "data.trajectories",
         "data.images",
         "data.sequences",
+        "data.dynamics",
         "data.recording",
         "data.flights",
         "viz",
@@ -78,6 +80,7 @@ ONE_IMPORTER = {
     "pygame",
     "jinja2",
     "markupsafe",
+    "h5py",
 }
 ONE_PLACE = ("envs.physics", "training.sb3")  # folders that exist for one such library and count as one importer
 TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package

@@ -14,9 +14,12 @@ import numpy as np
 import yaml
 from PIL import Image
 
+from tests.helpers.dynamics.logs import circling, write_euroc
+from tests.helpers.dynamics.transitions import random_transition
 from tests.helpers.paths import CHECKOUT
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
+from vssm_gym.data.dynamics.read import read_dynamics
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
 from vssm_gym.data.trajectories import read_trajectory
 from vssm_gym.envs.scenes.generator import furnish_plan
@@ -33,6 +36,7 @@ from vssm_gym.eval.sweep.merge import merge_sweeps
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition.learned_file import calibrated, load_transition, save_transition
 from vssm_gym.training.config import load_training
 from vssm_gym.training.learning_curves import read_training
 
@@ -218,6 +222,12 @@ TRAINING = (
     "  n_steps: 32\npolicy:\n  hidden: [8, 8]\n  inputs: [scan, goal]\nsteps: 1000\n"
 )
 
+
+def _learned(folder: Path) -> None:
+    transition = random_transition(calibrated("car"))
+    save_transition(folder / "learned.npz", transition, "car", {"updates": 1})
+
+
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene_file("scene.json", (ASSETS / "oak.json").read_bytes()), _scene("scene.json")),
     "houseexpo": Reader(
@@ -237,6 +247,8 @@ READERS: dict[str, Reader] = {
     "policy": Reader(
         lambda d: policy_file.save(d / "policy.npz", straight()), lambda d: policy_file.load(d / "policy.npz")
     ),
+    "learned transition": Reader(_learned, lambda d: load_transition(d / "learned.npz")),
+    "euroc flight": Reader(lambda d: write_euroc(d, circling(1.0)) and None, read_dynamics),
     "tasks": Reader(
         lambda d: navigation.save(navigation.task_set(load_scene("oak"), _robot(), "test", 5), d / "tasks.json"),
         lambda d: navigation.load(d / "tasks.json"),

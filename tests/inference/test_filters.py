@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.helpers.dynamics.transitions import noisy_transition
 from tests.helpers.localisation_room import CAMERA, GRID, ROOM, known_map
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix, se3_log
@@ -29,6 +30,7 @@ from vssm_gym.model.transition import (
     RigidState,
     Transition,
 )
+from vssm_gym.model.transition.with_rest import RestState
 
 DT, HEIGHT = 0.2, 0.4  # s, m of the camera above the floor
 T_BODY_CAM = planar_to_matrix(np.array([0.03, -0.01, 0.1])) @ np.array(
@@ -46,6 +48,8 @@ TRANSITIONS: dict[str, Transition] = {
     "bicycle": Bicycle(wheelbase=0.26),
     "rigid": Rigid(RigidNoise(0.15, 0.02, 0.3, 0.02)),
     "imu": Imu(ImuNoise(0.02, 0.01, 0.05, 0.05)),
+    "learned imu": noisy_transition(Imu(), (0.02, 0.01, 0.05, 0.05), 15),
+    "learned planar": noisy_transition(Planar(MotionNoise(0.05, 0.02)), (0.02, 0.05), 3),
 }
 PAIRS = [(name, kind) for kind, transition in TRANSITIONS.items() for name in filters_for(transition)]
 every = pytest.mark.parametrize(("name", "kind"), PAIRS)
@@ -66,6 +70,7 @@ def see(k: float) -> RGBD:
 
 def control(kind: str, k: int) -> jax.Array:
     """Return the control from ``k`` to ``k + 1``."""
+    kind = kind.removeprefix("learned ")
     if kind == "planar":  # the chord of the arc
         return jnp.array([TURN, 0.5 * TURN, STEP * np.sinc(0.5 * TURN / np.pi)])
     if kind == "bicycle":
@@ -87,10 +92,12 @@ def made(name: str, transition: Transition) -> tuple[Filter, Posterior]:
     manifold = transition.manifold
     p = manifold.twists.shape[1]
     start = at_rest(manifold, jnp.asarray(pose(0), jnp.float32), 1e-6 * jnp.eye(p), (0.05, 0.05))
-    if isinstance(start.mean, RigidState):  # the body moves already
+    body = start.mean.body if isinstance(start.mean, RestState) else start.mean
+    if isinstance(body, RigidState):  # it moves already
         direction = jnp.array([np.cos(START[2]), np.sin(START[2]), 0.0])
-        moving = RigidState(start.mean.T_world_body, jnp.concatenate([SPEED * direction, jnp.array([0.0, 0.0, RATE])]))
-        start = type(start)(moving, start.covariance, manifold)
+        moving = RigidState(body.T_world_body, jnp.concatenate([SPEED * direction, jnp.array([0.0, 0.0, RATE])]))
+        mean = RestState(moving, start.mean.rest) if isinstance(start.mean, RestState) else moving
+        start = type(start)(mean, start.covariance, manifold)
     m = known_map() if entry.needs_map else VoxelMap.prior(*GRID)
     return entry.make(RIG, transition), Posterior(start, m)
 

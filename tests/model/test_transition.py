@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from tests.helpers.dynamics.transitions import random_planar, random_transition
 from vssm_gym.envs.robots import NOISE_LEVELS, ExecutionNoise, execute
 from vssm_gym.geometry.transforms import inverse, matrix_to_planar, planar_to_matrix, se3_exp
 from vssm_gym.model.transition import (
@@ -31,6 +32,8 @@ from vssm_gym.model.transition import (
     Transition,
     planar_belief,
 )
+from vssm_gym.model.transition.calibrated import CalibratedDrive, CalibratedImu, ImuConstants
+from vssm_gym.model.transition.with_rest import RestState
 
 NOISE = ExecutionNoise(turn=np.radians(1.0), step=0.004)  # small against every command below: nothing is rectified
 # turning left and right, driving, both, and neither
@@ -202,6 +205,18 @@ EVERY = {
     "planar, biased": Case(Planar(BIASED, (0.01, 0.01, 0.02)), f32(START), f32([0.15, 0.05, 0.12])),
     "planar, biased turn": Case(Planar(BIASED, (0.01, 0.01, 0.02), "world"), f32(START), f32([0.15, 0.3, 0.0])),
     "bicycle": Case(Bicycle(), f32(START), f32([1.0, 0.3])),
+    "learned, imu": Case(
+        random_transition(spread=0.1), RestState(_rigid(4), f32([0.3, -0.2])), f32([0.3, 0.1, 9.5, 0.5, -1.0, 0.2])
+    ),
+    "learned, planar": Case(random_planar(), RestState(f32(START), f32([0.3, -0.2])), f32([0.15, 0.05, 0.12])),
+    "calibrated imu": Case(
+        CalibratedImu(ImuConstants(*f32(np.full((4, 3), 0.1))), Imu(ImuNoise(0.1, 0.6, 0.2, 0.3))),
+        _rigid(5),
+        f32([0.3, 0.1, 9.5, 0.5, -1.0, 0.2]),
+    ),
+    "calibrated drive": Case(
+        CalibratedDrive(Bicycle(), f32([[0.9, 0.0], [0.1, 1.1]]), f32([0.0, 0.02])), f32(START), f32([1.0, 0.3])
+    ),
 }
 each = pytest.mark.parametrize("name", EVERY)
 

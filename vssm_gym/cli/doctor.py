@@ -75,6 +75,7 @@ print("simulates")
 EXTRAS = {  # of pyproject.toml, and what they are for
     "rl": "train policies",
     "bullet": "the PyBullet simulator",
+    "dynamics": "flights of the Blackbird data set",
     "human": "windows",
     "viz": "live viewer, videos",
     "dev": "tests and checks",

@@ -28,6 +28,7 @@ COMMANDS: dict[str, Any] = {
     "record": "record.record",
     "map": {"build": "map.build", "export": "map.export"},
     "train": "train.train",
+    "train-dynamics": "train.train_dynamics",
     "curves": "curves.curves",
     "evaluate": "evaluate.evaluate",
     "navigate": "navigate.navigate",

@@ -10,8 +10,30 @@ BICYCLE, WHEELS, PLANAR = (
     "tests/model/test_transition.py",
 )
 ROBOTS = "tests/envs/test_robots.py"
+LEARNED, OBJECTIVE = "tests/model/test_learned_transition.py", "tests/training/dynamics/test_objective.py"
 
 MODEL = (
+    Mutant(
+        "learned-correction-in-world-axes",
+        f"{TRANSITION}/learned.py",
+        "axes.to_errors(after, h *",
+        "(lambda _, e: e)(after, h *",
+        (f"{LEARNED}::test_neither_place_nor_yaw_matters_in_space",),
+    ),
+    Mutant(
+        "lever-arm-without-centripetal-force",
+        f"{TRANSITION}/calibrated.py",
+        "jnp.cross(w, jnp.cross(w, lever)) + ",
+        "",
+        (f"{LEARNED}::test_the_constants_of_an_imu_agree_with_a_simulation",),
+    ),
+    Mutant(
+        "inverse-emission-fused-without-the-transition",
+        "vssm_gym/training/dynamics/objective.py",
+        "share = prior_std**2 / (prior_std**2 + std**2)",
+        "share = jnp.ones_like(std)",
+        (f"{OBJECTIVE}::test_fusion_is_the_product_of_gaussians",),
+    ),
     Mutant(
         "adjoint-transposed",
         "vssm_gym/geometry/transforms.py",

@@ -4,6 +4,8 @@ A robot that turns in place before a bare wall sees no turn for a step or two, a
 then on tells its heading. It does again where an image shows what an image with a known heading has shown.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -24,7 +26,7 @@ class StandingViews(eqx.Module):
     """Hold views with known headings, all from one place."""
 
     grey: Float[Array, "views height width"]  # luminance, of :func:`visual_turn.small_grey`
-    mean: Float[Array, "views d"]  # of the beliefs where they were seen
+    mean: Any  # of the beliefs where they were seen: states with a leading axis of views
     covariance: Float[Array, "views d d"]
     count: Int[Array, ""]  # views that were ever kept here
 
@@ -32,7 +34,7 @@ class StandingViews(eqx.Module):
 def begin(belief: GaussianBelief, grey: Float[Array, "height width"]) -> StandingViews:
     """Return the views of a robot that has seen one image."""
     every = lambda value: jnp.zeros((MOST_VIEWS, *value.shape), value.dtype).at[0].set(value)
-    return StandingViews(every(grey), every(belief.mean), every(belief.covariance), jnp.int32(1))
+    return StandingViews(every(grey), jax.tree.map(every, belief.mean), every(belief.covariance), jnp.int32(1))
 
 
 @jax.jit
@@ -46,9 +48,8 @@ def remember(views: StandingViews, belief: GaussianBelief, grey: Float[Array, "h
     new = (count == 0) | ~jnp.any(kept & (jnp.abs(moved[:, k]) < VIEWS_APART))
     slot = jnp.where(new, count % MOST_VIEWS, MOST_VIEWS)  # one past the end writes nothing
     put = lambda every, value: every.at[slot].set(value, mode="drop")
-    return StandingViews(
-        put(views.grey, grey), put(views.mean, belief.mean), put(views.covariance, belief.covariance), count + new
-    )
+    mean = jax.tree.map(put, views.mean, belief.mean)
+    return StandingViews(put(views.grey, grey), mean, put(views.covariance, belief.covariance), count + new)
 
 
 @jax.jit
@@ -72,7 +73,8 @@ def recognised(
     nearest = jnp.argsort(jnp.where(jnp.arange(MOST_VIEWS) < views.count, away, jnp.inf))[:NEAREST_VIEWS]
 
     def compare(index: Array) -> tuple[Array, Array, Array]:
-        before = GaussianBelief(views.mean[index], views.covariance[index], manifold)
+        mean = jax.tree.map(lambda every: every[index], views.mean)
+        before = GaussianBelief(mean, views.covariance[index], manifold)
         found, told = turned(belief, before, views.grey[index], grey, rig, considered)
         return manifold.error(belief.mean, found.mean), found.covariance, told & (index < views.count)
 

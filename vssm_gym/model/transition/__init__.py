@@ -1,4 +1,4 @@
-"""Define transitions ``p(z' | z, u)`` of robots on the floor, rigid bodies, IMUs and cars; and beliefs over states."""
+"""Define transitions ``p(z' | z, u)`` of robots, rigid bodies, IMUs, cars, and learned ones; beliefs over states."""
 
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
@@ -6,6 +6,7 @@ from vssm_gym.model.transition.biased_noise import BiasedNoise
 from vssm_gym.model.transition.bicycle import Bicycle, BicycleNoise
 from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 from vssm_gym.model.transition.imu import Imu, ImuNoise
+from vssm_gym.model.transition.learned import LearnedTransition
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold, RigidState
 from vssm_gym.model.transition.motion_noise import MotionNoise
 from vssm_gym.model.transition.planar import Planar, planar_belief, world_covariance
@@ -23,6 +24,7 @@ __all__ = [
     "GaussianBelief",
     "Imu",
     "ImuNoise",
+    "LearnedTransition",
     "Manifold",
     "MotionNoise",
     "Planar",

@@ -1,0 +1,171 @@
+"""Test that known drag and bias are recovered, that a learned transition beats integration, and the command."""
+
+import json
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.data.test_dynamics_logs import write_recording
+from tests.helpers.dynamics.logs import circling, dragged, lagging, write_euroc
+from vssm_gym.cli import main as main_module
+from vssm_gym.data.dynamics.log import DynamicsLog, cut
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import planar_to_matrix
+from vssm_gym.model.transition import PLANAR, RIGID, Bicycle, Imu
+from vssm_gym.model.transition.learned_file import NOMINALS, load_transition
+from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
+from vssm_gym.training.dynamics.evaluation import coverage, path_errors, step_likelihood
+from vssm_gym.training.dynamics.fit import FitConfig, fit, with_gain
+from vssm_gym.training.dynamics.learn import LearnConfig, learn
+from vssm_gym.training.dynamics.windows import windows
+
+DT = 0.1  # s
+BIAS = np.array([0.1, -0.15, 0.05, 0.0, 0.0, 0.03])  # m/s^2, rad/s
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """Return windows of 20 steps of two flights of the same body."""
+    return [windows([cut(dragged(40.0, seed, BIAS), DT)], RIGID, 20, 2) for seed in (1, 2)]
+
+
+@pytest.mark.slow
+def test_drag_and_bias_are_recovered(parts):
+    constants = fit_parametric(Imu(), parts[0], DT).constants
+    np.testing.assert_allclose(constants.accel_bias[:2], BIAS[:2], atol=0.05)
+    np.testing.assert_allclose(constants.gyro_bias[2], BIAS[5], atol=0.01)
+    np.testing.assert_allclose(constants.drag[:2], 0.3, atol=0.06)
+    fitted = [f(Imu(), parts[0], DT) for f in (fit_bias, fit_parametric)]
+    errors = [path_errors(model, parts[1], DT).position[-1] for model in (Imu(), *fitted)]
+    assert errors[2] < 0.3 * errors[1] < 0.3 * errors[0]
+
+
+@pytest.mark.slow
+def test_a_learned_transition_beats_integration_on_another_flight(parts):
+    """Its envelopes hold most of what happens; with hardly any noise they do not."""
+    fitted = fit(Imu(), *parts, DT, FitConfig(updates=300, batch=16))
+    assert not fitted.interrupted
+    errors = [path_errors(model, parts[1], DT).position[-1] for model in (Imu(), fitted.transition)]
+    assert errors[1] < 0.3 * errors[0]
+    held = coverage(fitted.transition, parts[1].take(slice(0, None, 10)), DT, fitted.noise)
+    assert 0.8 < held.mean() <= 1.0
+    surer = with_gain(fitted.transition, 0.01)
+    assert coverage(surer, parts[1].take(slice(0, None, 10)), DT).mean() < 0.5
+    assert np.isfinite(step_likelihood(fitted.transition, parts[0], parts[1], DT, fitted.noise))
+
+
+def test_a_robot_that_slips_is_learned_better_than_its_commands_say():
+    """Gains of a drive are recovered from its commands and poses."""
+    rng, pose, poses = np.random.default_rng(0), np.zeros(3), [np.zeros(3)]
+    commands = np.stack([rng.uniform(0.2, 1.0, 200), rng.uniform(-0.3, 0.3, 200)], axis=1)
+    for u in commands:
+        executed = jnp.asarray(u * [0.7, 1.1], jnp.float32)
+        pose = np.asarray(Bicycle().mean(jnp.asarray(pose, jnp.float32), executed, DT))
+        poses.append(pose)
+    times = DT * np.arange(201)
+    log = DynamicsLog("a drive", "car", times, planar_to_matrix(np.array(poses, float)), times[1:], commands)
+    data = windows([cut(log)], PLANAR, 20, 5)
+    found = fit_parametric(Bicycle(), data, DT)
+    np.testing.assert_allclose(np.diag(found.gain), [0.7, 1.1], atol=0.02)
+    assert path_errors(found, data, DT).position[-1] < 0.02 * path_errors(Bicycle(), data, DT).position[-1]
+
+
+@pytest.mark.slow
+def test_a_robot_with_slip_and_lag_is_predicted_five_seconds_ahead():
+    """A drive of two minutes: its next five seconds are predicted better than by the commands.
+
+    How far the robot still is from its last commands is not known at the start of a window, which bounds the gain.
+    """
+    steps, nominal = cut(lagging(150.0, 3)), NOMINALS["holonomic"]()
+    data, held, after = (
+        windows([steps.part(*part)], nominal.manifold, 25) for part in ((0, 480), (480, 600), (600, 750))
+    )
+    start = fit_bias(nominal, data, steps.dt)
+    fitted = fit(start, data, held, steps.dt, FitConfig(updates=500, batch=16))
+    errors = [path_errors(model, after, steps.dt).position[-1] for model in (nominal, start, fitted.transition)]
+    assert errors[2] < 0.6 * errors[0]
+
+
+def run(monkeypatch, capsys, *arguments):
+    monkeypatch.setattr(sys, "argv", ["vssm-gym", "train-dynamics", *map(str, arguments)])
+    code = main_module.main()
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_transition_and_a_comparison(monkeypatch, capsys, tmp_path):
+    for name, seed in (("a", 1), ("b", 2)):
+        (tmp_path / name).mkdir()
+        write_euroc(tmp_path / name, dragged(24.0, seed, BIAS), packed=True)
+    out = tmp_path / "learned.npz"
+    asked = (tmp_path / "a", "--out", out, "--test", tmp_path / "b", "--horizon", 10, "--updates", 4)
+    code, printed, _ = run(monkeypatch, capsys, *asked)
+    assert code == 0
+    assert "parametric" in printed
+    assert str(out) in printed
+    found = load_transition(out)
+    assert found.kind == "imu"
+    assert found.trained["updates"] == 4
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert set(report["parts"]) == {"trained on", "held out", "test: b"}
+    for rows in report["parts"].values():
+        assert set(rows) == {"euler", "bias", "parametric", "learned"}
+        assert set(rows["learned"]["position"]) == {"1", "3", "10"}
+        assert 0.0 <= rows["learned"]["coverage"]["position"]["all steps"] <= 1.0
+    state = found.transition.manifold.resting(jnp.eye(4))
+    assert np.isfinite(np.asarray(found.transition.mean(state, jnp.zeros(6), DT).body.T_world_body)).all()
+    code, _, errors = run(monkeypatch, capsys, *asked)
+    assert code == 2
+    assert "new file" in errors
+
+
+@pytest.mark.slow
+def test_an_interrupted_training_keeps_its_best(monkeypatch, capsys, tmp_path):
+    write_euroc(tmp_path, dragged(24.0, 1, BIAS))
+
+    def interrupt(stage, done, total):
+        if (stage, done) == ("training", 10):
+            raise KeyboardInterrupt
+
+    config = LearnConfig(horizon=10, fit=FitConfig(updates=500))
+    found = learn([tmp_path], config=config, on_progress=interrupt)
+    assert found.fitted.interrupted
+    assert found.fitted.updates == 10
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found.fitted.transition))
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--step", 0), "step"),
+        (("--horizon", 1), "horizon"),
+        (("--updates", 0), "updates"),
+        (("--minutes", 0), "minutes"),
+        (("--seed", -1), "seed"),
+        (("--test", "nowhere"), "nowhere"),
+    ],
+)
+def test_options_are_checked_before_anything_runs(options, expected, monkeypatch, capsys, tmp_path):
+    write_euroc(tmp_path, circling(4.0))
+    code, _, errors = run(monkeypatch, capsys, tmp_path, "--out", tmp_path / "a.npz", *options)
+    assert code == 2
+    assert expected in errors
+    assert errors.count("\n") == 1
+
+
+def test_logs_of_two_kinds_are_refused(tmp_path):
+    (tmp_path / "a").mkdir()
+    write_euroc(tmp_path / "a", circling(4.0))
+    write_recording(tmp_path / "b", (0.5, 0.0))
+    with pytest.raises(InputError, match="kind imu"):
+        learn([tmp_path / "a", tmp_path / "b"])
+
+
+def test_a_log_that_is_too_short_is_refused(tmp_path):
+    write_euroc(tmp_path, circling(2.5))
+    with pytest.raises(InputError, match="times"):
+        learn([tmp_path], config=LearnConfig(horizon=200))

@@ -1,0 +1,1 @@
+"""Read logs of poses and controls, from which transitions are learned."""

@@ -1,0 +1,1 @@
+"""Learn transitions from logs of poses and controls: windows, baselines, training, evaluation."""
