@@ -97,6 +97,7 @@ def _times(row: "Row") -> str:
     )
 
 
+@interruptible()
 def train_dynamics(
     data: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATA")],
     out: Path,

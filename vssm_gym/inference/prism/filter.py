@@ -226,11 +226,14 @@ class Prism:
         return Posterior(past.belief, m, state.measurement_noise)
 
     def followed(self, m: VoxelMap, T_world_cam: Float[Array, "4 4"]) -> tuple[VoxelMap, int]:
-        """Move the map's window after the camera, where it has one; return how many observed blocks fell out of it.
+        """Move the map's window after the camera, where it has one.
 
         Args:
             m: the map, consumed.
             T_world_cam: pose of the camera.
+
+        Returns:
+            The map, and how many observed blocks fell out of it.
         """
         margin = self.config.window_margin
         if margin is None:
