@@ -16,6 +16,8 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.model.transition import PLANAR, RIGID, Bicycle, Imu
 from vssm_gym.model.transition.learned_file import NOMINALS, load_transition
+from vssm_gym.training.dynamics import fit as fit_module
+from vssm_gym.training.dynamics import learn as learn_module
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
 from vssm_gym.training.dynamics.evaluation import coverage, path_errors, step_likelihood
 from vssm_gym.training.dynamics.fit import FitConfig, fit, with_gain
@@ -30,6 +32,13 @@ BIAS = np.array([0.1, -0.15, 0.05, 0.0, 0.0, 0.03])  # m/s^2, rad/s
 def parts():
     """Return windows of 20 steps of two flights of the same body."""
     return [windows([cut(dragged(40.0, seed, BIAS), DT)], RIGID, 20, 2) for seed in (1, 2)]
+
+
+@pytest.fixture(autouse=True)
+def few_windows(monkeypatch):
+    """Sample fewer futures: each window takes a tenth of a second, and most of a test's time otherwise."""
+    monkeypatch.setattr(fit_module, "CALIBRATED_ON", 12)
+    monkeypatch.setattr(learn_module, "COVERED_WINDOWS", 8)
 
 
 @pytest.mark.slow
