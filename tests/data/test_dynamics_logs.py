@@ -120,7 +120,8 @@ def test_what_is_no_log_is_refused(flight):
     ],
 )
 def test_a_damaged_blackbird_flight_is_refused_by_field(field, change, flight, tmp_path):
-    h5py = pytest.importorskip("h5py")
+    import h5py
+
     path = write_blackbird(tmp_path / "a.hdf5", flight)
     with h5py.File(path, "a") as stored:
         change(stored)
@@ -169,7 +170,6 @@ def test_another_file_is_refused(tmp_path):
 
 def test_the_flights_beside_the_checkout_are_read(shared_data):
     """Real data: the mean rate of the gyroscope is that of the poses."""
-    pytest.importorskip("h5py")
     for name in ("blackbird_clover/train.hdf5", "euroc_V1_01_easy"):
         steps = cut(read_dynamics(shared_data / "uav_imu" / name), 0.1)
         R = Rotation.from_matrix(steps.T_world_body[:, :3, :3])

@@ -50,10 +50,10 @@ def dragged(seconds: float, seed: int, bias: np.ndarray, drag: float = 0.3, rate
 
 
 def write_blackbird(path: Path, log: DynamicsLog) -> Path:
-    """Write a log as a flight of the Blackbird data set; skip the test where h5py is missing."""
-    import pytest
+    """Write a log as a flight of the Blackbird data set."""
 
-    h5py = pytest.importorskip("h5py", reason="flights of Blackbird need the extra vssm-gym[dynamics]")
+    import h5py  # only where a test writes such a file
+
     quaternion = Rotation.from_matrix(log.T_world_body[:, :3, :3]).as_quat()
     with h5py.File(path, "w") as stored:
         stored["ts"] = log.times + 1.5e9
