@@ -14,6 +14,8 @@ at a time: what it has seen meanwhile may lead to a route that needs no other. T
 It is computed again where the change matters: cells near the route became occupied, many cells changed, what was to be
 looked at was seen, or is not seen from where it should be, what was dared was driven onto, the car has left the poses
 with a path, or there is none yet.
+
+Where the actor does not find a way to drive its route, again and again, the car is led along the route itself.
 """
 
 from collections.abc import Callable
@@ -25,7 +27,7 @@ import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
-from vssm_gym.agents.shared.car.looking import SEEN_MARGIN, Sight
+from vssm_gym.agents.shared.car.looking import SEEN_MARGIN, Sight, between
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
 from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
@@ -50,6 +52,7 @@ LOOKED = 3  # steps in a row at a pose to look from, after which it does not sho
 DRIVEN_REST = 0.3  # of the motion that it dared are left where it has driven it
 DARED = 5  # motions of a route on which a car that does not get on dares: 0.66 m
 WIDEST = 2  # cells around what it dares
+LED_FROM = 3  # times in a row that it does not get on, from which on it is led
 CAREFUL = 0.2  # m ahead of a car that drives onto unseen cells, within which it is careful
 NONE: np.ndarray = np.zeros((0, 2), int)  # cells
 
@@ -127,6 +130,11 @@ class GrowingCritic:
         """Return True where the car is to look at something before it drives on."""
         return len(self._patch) > 0
 
+    @property
+    def hesitates(self) -> bool:
+        """Return True where the car has not got on so often in a row that it is to be led (:meth:`lead`)."""
+        return self._failed >= LED_FROM
+
     def motions(self, planar: np.ndarray) -> float:
         """Return how many motions are left from a pose to where the actor is led; infinite without a path."""
         if self.aim is None:
@@ -155,6 +163,41 @@ class GrowingCritic:
             self._failed, self._bold = self._failed + 1, True
         self._stale = True
         return True
+
+    def lead(self, planar: np.ndarray) -> np.ndarray | None:
+        """Return the next poses ``(n, 3)`` of the route that the car may drive; None where it may not drive on.
+
+        They end before the first unseen cells that it does not dare.
+        """
+        if self._followed is None:
+            return None
+        route = descend(self._followed, planar, self._car)[: DARED + 1]
+        met = self._sight(self._unseen & ~self._dared).first_met(route)
+        route = route if met is None else route[:met]
+        return route if len(route) > 1 else self._way_out(self._followed, planar)
+
+    def _way_out(self, followed: CostToGo, planar: np.ndarray) -> np.ndarray | None:
+        """Return a short arc ``(2, 3)`` to the best pose around one from which the cost-to-go knows no motion.
+
+        Its margin or an error of the map may block where the car stands. The arc meets nothing more than the car does
+        there. Where no pose around has a path either, the best is the one with the most room.
+        """
+        steering = np.linspace(-self._car.max_steering, self._car.max_steering, 5)
+        shares = np.array([0.3, 0.6, 1.0, -0.3, -0.6, -1.0])  # of a motion
+        length: Any = np.repeat(followed.motion_length * shares, len(steering))
+        turn = turn_of(length, np.tile(steering, len(shares)), self._car.wheelbase)
+        ends: Any = poses_after(planar[2], length, turn, planar[0], planar[1])
+        kept_off = (self._plan[0] == OCCUPIED) | (self._unseen & ~self._dared)
+        meets = lambda pose, margin: np.count_nonzero(self._under(kept_off, pose, margin))
+        here, crowded = meets(planar, 0.0), meets(planar, SEEN_MARGIN)
+        costs = np.asarray(followed.at(ends))
+        costs = np.where(costs < followed.never, costs, [followed.never + meets(pose, SEEN_MARGIN) for pose in ends])
+        for k in np.argsort(costs):
+            if costs[k] >= followed.never + crowded:
+                return None
+            if all(meets(pose, 0.0) <= here for pose in between(np.stack([planar, ends[k]]))):
+                return np.stack([planar, ends[k]])
+        return None
 
     def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
         """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
@@ -266,6 +309,12 @@ class GrowingCritic:
             before, after = (self.motions(pose) for pose in route[first - 1 : first + 1])
             self._until = after + DRIVEN_REST * (before - after)
         self._near = self._around(route, nothing)
+
+    def _under(self, cells: np.ndarray, planar: np.ndarray, margin: float) -> np.ndarray:
+        """Return the values of the cells under the footprint at a pose, ``margin`` (m) wider all around."""
+        under = footprint_cells(self._corner, self._resolution, planar, self._car, margin)
+        under = under[np.all((under >= 0) & (under < cells.shape), axis=1)]
+        return cells[tuple(under.T)]
 
     def _sight(self, unseen: np.ndarray) -> Sight:
         """Return what is seen from where on the newest plan, some of whose cells are unseen."""

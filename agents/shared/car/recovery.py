@@ -9,9 +9,9 @@ from enum import Enum
 
 import numpy as np
 
+from vssm_gym.agents.shared.car.lead import arc_between
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import Car
-from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.footprint import Arena, collides, overlaps
 
 BACK_SPEED = 0.25  # m/s, along the path that it came
@@ -126,20 +126,14 @@ class Trail:
 
     def drove(self, planar: np.ndarray) -> None:
         """Add the arc to where the car is now (m, rad); its pieces are no longer than one step back."""
-        x, y, turn = _from(self._last, planar)
-        chord = float(np.hypot(x, y))
+        chord = float(np.hypot(*(planar[:2] - self._last[:2])))
         if chord < LEAST:
             return
-        if chord > JUMP:  # of the estimate
-            self.begin(planar)
-            return
-        ahead = np.cos(0.5 * turn) * x + np.sin(0.5 * turn) * y  # along its mean heading
-        length = float(np.copysign(chord / np.sinc(0.5 * turn / np.pi), ahead))
-        lock = self._car.max_steering
-        steering = float(np.clip(np.arctan(self._car.wheelbase * turn / length), -lock, lock))
-        count = int(np.ceil(abs(length) / (BACK_SPEED * self._car.dt) - 1e-6))
-        self._arcs = [*self._arcs, *[(length / count, steering)] * count][-REMEMBERED:]
-        self._last = np.array(planar, np.float64)
+        if chord <= JUMP:  # or it is one of the estimate
+            length, steering = arc_between(self._last, planar, self._car)
+            count = int(np.ceil(abs(length) / (BACK_SPEED * self._car.dt) - 1e-6))
+            self._arcs = [*self._arcs, *[(length / count, steering)] * count][-REMEMBERED:]
+        self.begin(planar)
 
     def begin(self, planar: np.ndarray) -> None:
         """Go on from here (m, rad): what lies between is no piece, as the car drove back along the path."""
@@ -157,13 +151,6 @@ class Trail:
         self._arcs.pop()
 
 
-def _from(start: np.ndarray, end: np.ndarray) -> tuple[float, float, float]:
-    """Return a pose in the frame of another: m ahead, m to the left, rad."""
-    c, s = np.cos(start[2]), np.sin(start[2])
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    return float(c * dx + s * dy), float(c * dy - s * dx), float(wrap_angle(end[2] - start[2]))
-
-
 def creeping(arena: Arena, planar: np.ndarray, car: Car) -> np.ndarray:
     """Return a slow command along the first short arc that is free, ahead before back; a stand where none is."""
     for sign in (1.0, -1.0):
@@ -176,14 +163,20 @@ def creeping(arena: Arena, planar: np.ndarray, car: Car) -> np.ndarray:
 
 
 def leads_into(
-    cells: np.ndarray, origin: np.ndarray, resolution: float, planar: np.ndarray, command: np.ndarray, car: Car
+    cells: np.ndarray,
+    origin: np.ndarray,
+    resolution: float,
+    planar: np.ndarray,
+    command: np.ndarray,
+    car: Car,
+    reach: float = BACK_REACH,
 ) -> bool:
-    """Return True where a command leads onto cells that are set within :data:`BACK_REACH`, from where none is.
+    """Return True where a command leads onto cells that are set within ``reach`` (m), from where none is.
 
     Its path was free as the car came; the map that it has by now may say otherwise, and the car is not quite on it.
     ``cells`` as of :func:`~vssm_gym.planning.car.footprint.overlaps`.
     """
-    lengths = np.copysign(BACK_REACH, command[0]) * np.array([0.0, 0.5, 1.0])
+    lengths = np.copysign(reach, command[0]) * np.array([0.0, 0.5, 1.0])
     poses = poses_after(planar[2], lengths, turn_of(lengths, float(command[1]), car.wheelbase), *planar[:2])
     meets = [overlaps(cells, origin, resolution, pose, car) for pose in poses]
     return not meets[0] and any(meets)

@@ -257,6 +257,31 @@ def test_it_decides_anew_before_it_dares_where_much_was_seen_meanwhile():
     assert critic.computed == 2 and back == CONFIG.unknown[1]
 
 
+def test_it_is_led_onto_what_it_dares_and_no_further():
+    """The route of a car that does not get on ends where it has driven the one motion that it dares."""
+    critic = in_a_corner()
+    assert critic.dare(FACING)
+    critic.update(seen(ROOM), FACING)
+    route = critic.lead(FACING)
+    np.testing.assert_array_equal(route[0], FACING)
+    dared = {tuple(cell) for cell in critic._daring}
+    sight = critic._sight(critic._unseen)
+    met = {tuple(cell) for cell in sight.swept(route)}
+    assert met and met <= dared
+    following = descend(critic._followed, FACING, CAR)
+    assert len(route) < len(following)
+    np.testing.assert_array_equal(route, following[: len(route)])
+
+
+def test_where_no_motion_is_free_a_short_arc_leads_to_the_best_pose():
+    """It dares nothing, and a whole motion would meet unseen cells."""
+    critic = in_a_corner()
+    critic._dare(np.zeros((0, 2), int))
+    route = critic.lead(FACING)
+    assert len(route) == 2 and 0.0 < FACING[0] - route[1][0] < 0.1
+    assert critic.value.reachable(route[1]) and not critic._under(critic._unseen, route[1], 0.0).any()
+
+
 def test_it_does_not_dare_where_everything_was_seen():
     critic = critic_after(plan(9.0))
     assert not critic.looks and not critic.dare(START)

@@ -1,0 +1,66 @@
+"""Test that a car is led along routes: arcs join poses, and the path is followed to its end."""
+
+from itertools import pairwise
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given
+
+from vssm_gym.agents.shared.car.lead import ASTRAY, SPEED, Lead, arc_between
+from vssm_gym.geometry.arc import poses_after, turn_of
+from vssm_gym.geometry.car import Car
+
+CAR = Car()
+
+
+def after(start: np.ndarray, length: float, steering: float) -> np.ndarray:
+    turn = turn_of(np.array(length), steering, CAR.wheelbase)
+    return poses_after(start[2], np.array(length), turn, start[0], start[1])
+
+
+@given(
+    st.floats(-3.0, 3.0),
+    st.floats(-CAR.max_steering, CAR.max_steering),
+    st.floats(0.01, 0.4),
+    st.sampled_from([1.0, -1.0]),
+)
+def test_the_arc_between_two_poses_is_the_one_that_was_driven(heading, steering, length, sign):
+    start = np.array([1.0, -2.0, heading])
+    found = arc_between(start, after(start, sign * length, steering), CAR)
+    np.testing.assert_allclose(found, [sign * length, steering], atol=1e-6)
+
+
+ROUTES = {
+    "straight": [(0.3, 0.0)],
+    "back": [(-0.26, 0.3)],
+    "a turn in three moves": [(0.26, CAR.max_steering), (-0.26, -CAR.max_steering), (0.26, CAR.max_steering)],
+}
+
+
+@pytest.mark.parametrize("name", ROUTES)
+def test_a_route_is_followed_to_its_end(name):
+    """A car that executes its commands exactly ends within 3 cm and 10 degrees, creeping all the while."""
+    poses = [np.array([0.4, -0.2, 0.7])]
+    for length, steering in ROUTES[name]:
+        poses += [after(poses[-1], 0.5 * length, steering)]
+        poses += [after(poses[-1], 0.5 * length, steering)]
+    lead, at, driven = Lead(np.array(poses), CAR), poses[0], [poses[0]]
+    for _ in range(100):
+        command = lead.step(at)
+        if command is None:
+            break
+        assert abs(command[0]) <= SPEED
+        at = after(at, command[0] * CAR.dt, command[1])
+        driven.append(at)
+    assert command is None
+    off = at - poses[-1]
+    assert np.hypot(*off[:2]) < 0.03 and abs(off[2]) < np.radians(10.0)
+    length = sum(float(np.hypot(*(b - a)[:2])) for a, b in pairwise(driven))
+    assert length < 1.1 * sum(abs(one) for one, _ in ROUTES[name])
+
+
+def test_a_car_away_from_its_route_is_led_no_more():
+    lead = Lead(np.array([[0.0, 0.0, 0.0], [0.13, 0.0, 0.0]]), CAR)
+    assert lead.step(np.array([0.02, 0.9 * ASTRAY, 0.0])) is not None
+    assert lead.step(np.array([0.02, 1.5 * ASTRAY, 0.0])) is None
