@@ -11,7 +11,7 @@ from tests.helpers.dynamics.logs import circling
 from tests.helpers.dynamics.transitions import random_transition
 from vssm_gym.data.dynamics.log import cut
 from vssm_gym.model.transition import RIGID, Imu
-from vssm_gym.training.dynamics.adam import adam, no_moments
+from vssm_gym.training.dynamics.fit import FitConfig, optimizer_for
 from vssm_gym.training.dynamics.inverse_emission import new_inverse_emission
 from vssm_gym.training.dynamics.objective import Model, _divergence, elbo, emission, fused, predictions
 from vssm_gym.training.dynamics.windows import measure_scales, states_of, windows
@@ -110,20 +110,23 @@ def test_a_sure_and_right_prediction_scores_best(data):
     assert score(biased) > 2.0 * score(louder(0.01))
 
 
-def test_adam_agrees_with_its_definition():
-    """Three steps in float64, weight decay included."""
-    rng = np.random.default_rng(0)
-    p, gradients = rng.normal(size=4), rng.normal(size=(3, 4)) * 0.1
-    m = s = np.zeros(4)
-    parameters, moments = jnp.asarray(p, jnp.float32), no_moments(jnp.asarray(p, jnp.float32))
-    for t, g in enumerate(gradients, start=1):
-        m, s = 0.9 * m + 0.1 * g, 0.999 * s + 0.001 * g**2
-        p = p - 0.01 * (m / (1.0 - 0.9**t) / (np.sqrt(s / (1.0 - 0.999**t)) + 1e-8) + 0.1 * p)
-        parameters, moments = adam(parameters, jnp.asarray(g, jnp.float32), moments, 0.01, 0.1)
-    np.testing.assert_allclose(parameters, p, rtol=1e-4)
-
-
 def test_a_gradient_that_is_not_finite_changes_nothing():
-    start = jnp.ones(3)
-    after, _ = adam(start, jnp.array([1.0, jnp.nan, 0.0]), no_moments(start), 0.1)
-    np.testing.assert_array_equal(after, start)
+    optimizer, start = optimizer_for(FitConfig(updates=10)), jnp.ones(3)
+    state = optimizer.init(start)
+    for _ in range(9):  # however often
+        step, state = optimizer.update(jnp.array([1.0, jnp.nan, 0.0]), state, start)
+        np.testing.assert_array_equal(step, 0.0)
+    step, _ = optimizer.update(jnp.array([1.0, 1.0, 0.0]), state, start)
+    assert (np.asarray(step[:2]) < 0.0).all()
+
+
+def test_the_rate_falls_to_zero_and_gradients_are_bounded():
+    """However large the gradient, the first step is the rate: Adam's is the gradient over its own size."""
+    config = FitConfig(updates=20, rate=0.01)
+    optimizer, start = optimizer_for(config), jnp.zeros(2)
+    state, steps = optimizer.init(start), []
+    for _ in range(config.updates):
+        step, state = optimizer.update(jnp.array([1e6, 0.0]), state, start)
+        steps.append(-float(step[0]))
+    np.testing.assert_allclose(steps[0], config.rate, rtol=1e-3)
+    assert steps == sorted(steps, reverse=True) and steps[-1] < 0.01 * config.rate

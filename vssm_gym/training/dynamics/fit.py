@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.model.transition.base import Transition
@@ -16,7 +17,6 @@ from vssm_gym.model.transition.body_axes import body_axes
 from vssm_gym.model.transition.learned import LearnedTransition, Scales, untrained
 from vssm_gym.model.transition.manifold import RIGID
 from vssm_gym.progress import OnProgress
-from vssm_gym.training.dynamics.adam import Moments, adam, no_moments
 from vssm_gym.training.dynamics.evaluation import coverage
 from vssm_gym.training.dynamics.inverse_emission import new_inverse_emission
 from vssm_gym.training.dynamics.objective import ELBO_WEIGHT, Model, elbo, predictions
@@ -26,6 +26,7 @@ FIRST_LOG_STD = -5.0  # of measured poses: 7 mm and 7 mrad, as of motion capture
 # Shares of the horizon and of the updates: short windows first, since the gradient of a long path through a bad model
 # points nowhere
 HORIZON_STAGES = ((0.1, 0.1), (0.3, 0.3), (1.0, 0.6))
+LARGEST_GRADIENT = 1.0  # its norm; a longer one is shortened
 EVIDENCE_STEPS = 20  # steps over which the evidence is taken, of a window
 # Biases of an IMU change from flight to flight, more than they do within the one that is trained on
 BIAS_STDS = (0.05, 0.005)  # m/s^2, rad/s
@@ -108,16 +109,16 @@ def fit(
     stds = _bias_stds(nominal, model.transition.scales)
     horizon = data.controls.shape[1]
     untrained_transition = model.transition
-    moments, history = no_moments(_trained(model)), list[dict[str, float]]()
+    optimizer = optimizer_for(config)
+    moments, history = optimizer.init(_trained(model)), list[dict[str, float]]()
     best, score, done, interrupted = model.transition, float(_judge(model.transition, held, dt)), 0, False
     try:
         for done in range(1, config.updates + 1):
             steps = max(2, round(_share(done / config.updates) * horizon))
-            rate = config.rate * 0.5 * (1.0 + np.cos(np.pi * done / config.updates))
             drawn = jax.random.fold_in(key, done)
             bound, of_evidence = _evidence(model, data, drawn, dt, config.batch, min(EVIDENCE_STEPS, horizon), stds)
             terms, of_prediction = _prediction(model.transition, data, drawn, dt, config.batch, steps, stds)
-            model, moments = _step(model, of_evidence, of_prediction, moments, rate, config.decay)
+            model, moments = _step(model, of_evidence, of_prediction, moments, optimizer)
             if done % JUDGED_EVERY == 0 or done == config.updates:
                 now = float(_judge(model.transition, held, dt))
                 row = {"updates": done, "held": now, "elbo": float(bound)}
@@ -135,6 +136,16 @@ def fit(
     position, rotation = (float(std) for std in jnp.exp(model.log_stds))
     best, gain = calibrate(best, held, dt, (position, rotation))
     return Fitted(best, done, time.monotonic() - began, interrupted, score, gain, (position, rotation), history)
+
+
+def optimizer_for(config: FitConfig) -> optax.GradientTransformation:
+    """Return Adam with decoupled weight decay, a rate that falls as a cosine, and bounded gradients.
+
+    A gradient that is not finite changes nothing, however many there are.
+    """
+    rate = optax.cosine_decay_schedule(config.rate, config.updates)
+    bounded = optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optax.adamw(rate, weight_decay=config.decay))
+    return optax.apply_if_finite(bounded, max_consecutive_errors=config.updates)
 
 
 def calibrate(
@@ -214,14 +225,15 @@ def _prediction(
     return terms, gradient
 
 
-@partial(jax.jit, static_argnames="decay")
+@partial(jax.jit, static_argnames="optimizer")
 def _step(
-    model: Model, of_evidence: Any, of_prediction: Any, moments: Moments, rate: float, decay: float
-) -> tuple[Model, Moments]:
-    """Take one step of Adam along the sum of both gradients."""
+    model: Model, of_evidence: Any, of_prediction: Any, moments: Any, optimizer: optax.GradientTransformation
+) -> tuple[Model, Any]:
+    """Take one step along the sum of both gradients."""
     network = jax.tree.map(jnp.add, of_evidence[0], of_prediction)
-    trained, moments = adam(_trained(model), (network, *of_evidence[1:]), moments, rate, decay)
-    return _placed(model, trained), moments
+    before = _trained(model)
+    steps, moments = optimizer.update((network, *of_evidence[1:]), moments, before)
+    return _placed(model, optax.apply_updates(before, steps)), moments
 
 
 def _beginnings(data: Windows, key: PRNGKeyArray, batch: int, steps: int, stds: Array) -> Windows:
