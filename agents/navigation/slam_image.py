@@ -101,6 +101,7 @@ class SlamImageAgent:
         self._search = PictureSearch(self._config.search, self._context, goal_rgb.astype(np.float32) / 255.0)
         self._views = UnseenViews(self._config.views, rig_of(self._context).camera)
         self._match: Match | None = None  # that is driven to
+        self._corrections = 0  # drives to it after it was aligned anew
         self._responses: Counter[str] = Counter()  # of this image's drives before the present one
 
     def act(self, observation: Observation) -> Decision:

@@ -7,7 +7,8 @@ from tests.agents.test_agents import CAMERA, LOW, context, learned, observe
 from tests.helpers.planning_worlds import APART, twin_rooms
 from vssm_gym.agents.navigation.astar_image import NOWHERE as NOWHERE_IN_MAP
 from vssm_gym.agents.navigation.astar_image import AStarImageAgent
-from vssm_gym.agents.navigation.slam_image import NOWHERE, SlamImageAgent
+from vssm_gym.agents.navigation.slam_image import NOWHERE, ImageGoalConfig, SlamImageAgent
+from vssm_gym.agents.shared.searching.picture_matches import Match
 from vssm_gym.envs.robots import execute
 from vssm_gym.maps.voxel_map import VoxelMap
 
@@ -106,6 +107,26 @@ def test_an_image_of_nowhere_is_never_arrived_at(kind, learned):
     assert decisions[-1].action[3] > 0.5
     assert decisions[-1].gives_up
     assert decisions[-1].status == NOWHERE
+
+
+def test_a_match_that_keeps_moving_away_is_refuted(learned, monkeypatch):
+    """Each comparison at its place moves the pose on by 0.6 m: the robot follows it three times, and then not again."""
+    start = np.array([1.0, 1.0, 1.0])
+    agent, observation = SlamImageAgent(), seen(start, start, learned)
+    agent.reset(context(None, start), observation, 0)
+    decision = agent.act(observation)
+    here = agent._navigator.estimate.planar
+    ahead = Match(here + np.array([0.6, 0.0, 0.0]), 3.0, 0.9, 0.9)
+    monkeypatch.setattr(agent._search, "align", lambda m, poses: [ahead])
+    monkeypatch.setattr(agent._search, "agrees", lambda image, planar, pose: True)
+    agent._match = Match(here, 3.0, 0.9, 0.9)
+    for correction in range(1, ImageGoalConfig().corrections + 1):
+        agent._at_match(decision, observation)
+        assert agent._corrections == correction and agent._match is ahead
+    agent._at_match(decision, observation)
+    assert agent._match is None
+    agent._search.matches.add(ahead)
+    assert not agent._search.matches.all
 
 
 @pytest.mark.slow
