@@ -47,6 +47,7 @@ COMMANDS: dict[str, Any] = {
         "map-reliability": "study.map_reliability",
         "flight": "study.flight",
         "relocalisation": "study.relocalisation",
+        "smoothing": "study.smoothing",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",

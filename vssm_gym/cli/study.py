@@ -348,3 +348,54 @@ def relocalisation(
             )
         say(study.answer)
         say(write_study(study, out))
+
+
+@interruptible("smoothing.json")
+def smoothing(
+    sequences: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE ...")] = (),
+    *,
+    out: Path,
+    walks: int = 8,
+    flights: int = 12,
+    split: Literal["train", "test"] = "train",
+    rate: float = 10.0,
+    depth: str = "good",
+    seed: int = 0,
+    resume: bool = False,
+) -> None:
+    """Compare the smoother of ``slam --refine`` with the filter that it starts from.
+
+    OUT gets smoothing.json, smoothing.svg and smoothing.html, one row for each recording: trajectory error, NEES over
+    the dimension, errors of the maps in images that were held out, and times. They are written anew after every row.
+
+    Args:
+        sequences: TUM folders with groundtruth.txt.
+        out: folder for the results.
+        walks: simulated walks with a Kinect through apartments.
+        flights: simulated flights with a stereo camera through a hall, at 1 to 4 m/s.
+        split: scenes and seeds to tune on (train) or to judge on (test).
+        rate: frames per second at most, of the given sequences; every other image judges the maps.
+        depth: what measured the depth of the given sequences: good or stereo.
+        seed: of the simulated recordings.
+        resume: continue in OUT with the rows that are missing.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.eval.studies.page import study_folder, write_study
+    from vssm_gym.eval.studies.smoothing import study as smoothing_study
+    from vssm_gym.files.output_folders import check_folder
+    from vssm_gym.slam.run import SlamOptions
+
+    setting = smoothing_study.Setting(split, seed, walks, flights)
+    options = SlamOptions(rate=rate, depth=depth)
+    recordings = smoothing_study.checked([load_sequence(sequence) for sequence in sequences], setting)
+    check_folder(out)
+    with study_folder("smoothing", out, resume):
+        done = smoothing_study.finished(out / "smoothing.json", setting) if resume else {}
+        with progress_bars() as progress:
+            for study in smoothing_study.run(recordings, setting, options, done=done, on_progress=progress):
+                page = write_study(study, out)
+        for line in _aligned([study.header, *study.lines]):
+            say(line)
+        say(study.answer)
+        say(page)

@@ -17,7 +17,7 @@ from vssm_gym.geometry.transforms import inverse
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.calibration import pose_residuals, segments
-from vssm_gym.slam.run import SlamOptions, run_slam
+from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
 from vssm_gym.slam.states import POSE, VELOCITY
 
 
@@ -50,13 +50,17 @@ def estimate(recording: Sequence, options: SlamOptions, on_progress: OnProgress 
     """
     if recording.truth is None:
         raise InputError(recording.root / "groundtruth.txt", "file", "ground-truth poses, which this study needs")
-    done = run_slam(recording, options, on_progress=on_progress)
+    return stated(run_slam(recording, options, on_progress=on_progress), recording.truth)
+
+
+def stated(done: SlamRun, truth: tuple[np.ndarray, np.ndarray]) -> Estimates:
+    """Return what a run states at every frame, beside the times (s) and poses of its truth."""
     n = len(done.frames)
     velocity, covariance = np.full((n, 6), np.nan), np.full((n, 12, 12), np.nan)
     for i, frame in enumerate(done.frames):
         if frame.covariance is not None and frame.velocity is not None:
             velocity[i], covariance[i] = frame.velocity, frame.covariance
-    return Estimates(done.times, done.poses, velocity, covariance, ~done.lost, recording.truth)
+    return Estimates(done.times, done.poses, velocity, covariance, ~done.lost, truth)
 
 
 def parts(recording: Sequence, seconds: float) -> list[Sequence]:

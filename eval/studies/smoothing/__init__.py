@@ -1,0 +1,1 @@
+"""Compare the smoother with the filter that it starts from."""

@@ -1,0 +1,179 @@
+"""Measure filter and smoother on walks, flights and given recordings; every finished one gives a complete study."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.data.flights import record_flight
+from vssm_gym.data.recording import record_handheld
+from vssm_gym.data.sequences import Sequence, load_sequence
+from vssm_gym.envs.sensors import CameraConfig
+from vssm_gym.envs.tasks.navigation import Split
+from vssm_gym.envs.validation import validated
+from vssm_gym.errors import InputError
+from vssm_gym.eval.studies.calibration.rows import FLIGHT_OPTIONS, FLIGHT_SCENE
+from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
+from vssm_gym.eval.studies.flight import YAWS
+from vssm_gym.eval.studies.page import Study, labelled
+from vssm_gym.eval.studies.smoothing.comparison import SOURCE, compare
+from vssm_gym.eval.studies.smoothing.table import StoredRow, study_of
+from vssm_gym.files.json_file import read_json
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.run import SlamOptions
+from vssm_gym.version import package_version
+
+WALK_METRES = 15.0  # of a walk: about a minute, turns included
+SPEEDS = (1.0, 2.0, 3.0, 4.0)  # m/s, peak, of flights in turn
+WALK_OPTIONS = SlamOptions()
+# As of `study flight`: without its IMU
+STEREO_OPTIONS = replace(FLIGHT_OPTIONS, imu=False)
+FASTER = 2.0  # images are recorded so many times as fast as the filter takes them: the others judge the maps
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Hold what decides the numbers of a recording; a study that is continued keeps it."""
+
+    split: Split = "train"
+    seed: int = 0
+    walks: int = 8
+    flights: int = 12
+
+    def __post_init__(self) -> None:
+        if self.split not in DIVISIONS:
+            raise InputError(SOURCE, "split", f"one of {', '.join(DIVISIONS)}; found {self.split!r}")
+        if not 0 <= self.seed < 2**31:
+            raise InputError(SOURCE, "seed", f"between 0 and 2^31 - 1; found {self.seed}")
+        for name in ("walks", "flights"):
+            if not 0 <= getattr(self, name) <= 1000:
+                raise InputError(SOURCE, name, f"between 0 and 1000; found {getattr(self, name)}")
+
+
+def checked(recordings: list[Sequence], setting: Setting) -> list[Sequence]:
+    """Return the recordings, each with ground truth and a name of its own.
+
+    Raises:
+        InputError: one without ground truth, two of one name, or nothing to measure at all.
+    """
+    if not recordings and not setting.walks and not setting.flights:
+        raise InputError(SOURCE, "walks", "walks, flights or recordings; found none")
+    names = [one.root.resolve().name for one in recordings]
+    for one, name in zip(recordings, names, strict=True):
+        if one.truth is None:
+            raise InputError(one.root / "groundtruth.txt", "file", "ground-truth poses, which this study needs")
+        if names.count(name) > 1:
+            raise InputError(SOURCE, "sequences", f"folders with different names; found {name!r} twice")
+    return recordings
+
+
+def run(
+    recordings: list[Sequence],
+    setting: Setting,
+    options: SlamOptions,
+    *,
+    done: Mapping[str, Any],
+    on_progress: OnProgress | None = None,
+) -> Iterator[Study]:
+    """Measure recording after recording, and yield the study of all so far after each.
+
+    Args:
+        recordings: given ones, with ground truth.
+        setting: split, seed and numbers of simulated ones.
+        options: of the filter for given ones.
+        done: rows that are not measured again.
+        on_progress: called with (recording, steps done, steps).
+
+    Raises:
+        InputError: a recording without ground truth.
+    """
+    simulated = _simulated(setting)
+    given = {one.root.resolve().name: one for one in recordings}
+    rows, stated = dict(done), asdict(setting)
+    names = [*simulated, *given]
+    in_order = lambda: {name: rows[name] for name in [*names, *rows] if name in rows}
+    for name in names:
+        if name in rows:
+            continue
+        show = labelled(on_progress, name)
+        if name in given:
+            rows[name] = compare(given[name], options, show)
+        else:
+            with tempfile.TemporaryDirectory(prefix="vssm-gym-smoothing-") as folder:
+                kept = simulated[name](Path(folder) / "recording")
+                rows[name] = compare(load_sequence(Path(folder) / "recording"), kept, show)
+        yield study_of(in_order(), stated)
+    if rows.keys() == done.keys():
+        yield study_of(in_order(), stated)
+
+
+def finished(path: Path, setting: Setting) -> dict[str, dict[str, Any]]:
+    """Return the rows of an outcome that is continued; none where there is no file.
+
+    Raises:
+        InputError: no outcome of this study, another setting, or another version of the package.
+    """
+    if not path.is_file():
+        return {}
+    expected = "the outcome of a study of the smoother"
+    stored = read_json(path, expected=expected)
+    parts = [stored.get(name) if isinstance(stored, dict) else None for name in ("setting", "figures")]
+    rows = parts[1].get("rows") if isinstance(parts[1], dict) else None
+    if not isinstance(parts[0], dict) or not isinstance(rows, dict) or not rows:
+        raise InputError(path, "content", expected)
+    found = parts[0] | {"version": stored.get("version")}
+    for name, value in {**asdict(setting), "version": package_version()}.items():
+        if found.get(name) != value:
+            raise InputError(path, name, f"{value}, as in this study; found {found.get(name)!r:.80}")
+    models = {name: validated(StoredRow, row, path, f"figures.rows.{name:.80}") for name, row in rows.items()}
+    return {name: model.model_dump(mode="json") for name, model in models.items()}
+
+
+def _simulated(setting: Setting) -> dict[str, Callable[[Path], SlamOptions]]:
+    """Return by name what records each simulated recording, and the options that the filter then gets."""
+    division = DIVISIONS[setting.split]
+    found: dict[str, Callable[[Path], SlamOptions]] = {}
+    for number in range(setting.walks):
+        scene, seed = division.apartments[number % len(division.apartments)], _seed(setting, number)
+        found[f"walk {number}, {scene}"] = partial(_walk, scene=scene, seed=seed)
+    for number in range(setting.flights):
+        curve, seed = division.flights[number % len(division.flights)], _seed(setting, number)
+        speed = SPEEDS[number // len(division.flights) % len(SPEEDS)]
+        found[f"flight {number}, {curve} {speed:g} m/s"] = partial(_flight, curve=curve, speed=speed, seed=seed)
+    return found
+
+
+def _seed(setting: Setting, number: int) -> int:
+    return seed_of(setting.split, setting.seed, number)
+
+
+def _walk(out: Path, scene: str, seed: int) -> SlamOptions:
+    """Carry a Kinect through an apartment."""
+    record_handheld(
+        scene,
+        out,
+        metres=WALK_METRES,
+        rate=FASTER * WALK_OPTIONS.rate,
+        sensor_noise="kinect",
+        camera=CameraConfig(*WALK_OPTIONS.size),
+        seed=seed,
+    )
+    return WALK_OPTIONS
+
+
+def _flight(out: Path, curve: str, speed: float, seed: int) -> SlamOptions:
+    """Fly a curve through the hall with a stereo camera."""
+    record_flight(
+        FLIGHT_SCENE,
+        out,
+        flight=curve,
+        speed=speed,
+        yaw=YAWS[curve],
+        rate=FASTER * STEREO_OPTIONS.rate,
+        sensor_noise="stereo",
+        camera=CameraConfig(*STEREO_OPTIONS.size),
+        seed=seed,
+    )
+    return STEREO_OPTIONS
