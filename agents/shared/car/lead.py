@@ -14,7 +14,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.planning.car.pursuit import CarPath, PursuitConfig
 
 SPEED = 0.15  # m/s, at most
-SPACING = 0.02  # m between the poses of the path
+ROUTE_SPACING = 0.02  # m between the poses of the path
 ASTRAY = 0.05  # m from the route, beyond which the car follows it no more
 
 
@@ -35,7 +35,7 @@ class Lead:
         poses, gears = [route[0]], [1.0]
         for start, end in pairwise(route):
             length, steering = arc_between(start, end, car)
-            lengths = length * np.linspace(0.0, 1.0, int(np.ceil(abs(length) / SPACING)) + 1)[1:]
+            lengths = length * np.linspace(0.0, 1.0, int(np.ceil(abs(length) / ROUTE_SPACING)) + 1)[1:]
             poses += list(poses_after(start[2], lengths, turn_of(lengths, steering, car.wheelbase), *start[:2]))
             gears += [np.sign(length)] * len(lengths)
         gears[0] = gears[1]

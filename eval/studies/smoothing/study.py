@@ -25,7 +25,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam.run import SlamOptions
 from vssm_gym.version import package_version
 
-WALK_METRES = 15.0  # of a walk: about a minute, turns included
+SMOOTHED_METRES = 15.0  # of a walk: about a minute, turns included
 SPEEDS = (1.0, 2.0, 3.0, 4.0)  # m/s, peak, of flights in turn
 WALK_OPTIONS = SlamOptions()
 # As of `study flight`: without its IMU
@@ -154,7 +154,7 @@ def _walk(out: Path, scene: str, seed: int) -> SlamOptions:
     record_handheld(
         scene,
         out,
-        metres=WALK_METRES,
+        metres=SMOOTHED_METRES,
         rate=FASTER * WALK_OPTIONS.rate,
         sensor_noise="kinect",
         camera=CameraConfig(*WALK_OPTIONS.size),

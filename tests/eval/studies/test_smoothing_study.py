@@ -77,7 +77,7 @@ def test_a_study_is_continued_with_its_own_rows_alone(tmp_path: Path, known_vers
 @pytest.mark.slow
 def test_a_short_walk_is_compared_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two metres through an apartment: every number is there, and the command writes them."""
-    monkeypatch.setattr(smoothing_study, "WALK_METRES", 2.0)
+    monkeypatch.setattr(smoothing_study, "SMOOTHED_METRES", 2.0)
     commands.smoothing(out=tmp_path / "out", walks=1, flights=0)
     stored = json.loads((tmp_path / "out" / "smoothing.json").read_text())
     (name, found), *_ = stored["figures"]["rows"].items()
