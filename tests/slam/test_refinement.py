@@ -14,6 +14,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_exp, transform
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.slam.refinement import carried, refine
+from vssm_gym.slam.refinement_figures import COMPARED_FRAMES, compared, depth_differences
 from vssm_gym.slam.run import SlamOptions, run_slam
 from vssm_gym.viz.mesh import surface_mesh
 
@@ -65,6 +66,14 @@ def test_the_map_is_that_of_the_smoothed_poses(refined):
     assert refined.run.map.pose_errors is not None
 
 
+def test_images_before_and_after_are_compared_at_their_own_poses(refined):
+    """A map agrees with the images that it was made of to a tenth of a cell, at frames spread over the run."""
+    numbers = depth_differences(refined)
+    assert [index for index, _, _ in numbers] == [refined.run.frames[i].index for i in compared(refined)]
+    assert len({index for index, _, _ in numbers}) == COMPARED_FRAMES
+    assert all(0.0 < after < 0.1 * 0.08 for _, _, after in numbers)
+
+
 def test_the_posterior_is_saved_and_read(refined, tmp_path):
     path = tmp_path / "map.npz"
     refined.run.posterior.save(path)
@@ -102,7 +111,8 @@ def test_the_command_writes_the_smoothed_trajectory(tmp_path, capsys):
     assert len(stats["refinement"]["costs"]) == 6
     _, poses = poses_of(out / "trajectory.txt")
     assert errors(poses).max() < 0.006
-    assert "of the filter alone" in (out / "report.html").read_text()
+    report = (out / "report.html").read_text()
+    assert "of the filter alone" in report and 'id="refinement"' in report
 
 
 def test_a_given_map_cannot_be_refined(tmp_path):

@@ -31,7 +31,7 @@ from vssm_gym.model.transition import RigidState, rigid_belief
 from vssm_gym.slam import output as slam_output
 from vssm_gym.slam import report as slam_report
 from vssm_gym.slam import states as slam_states
-from vssm_gym.slam.figures import _belief, _cells
+from vssm_gym.slam.figures import belief_at, observed_cells
 from vssm_gym.slam.run import SlamRun, TrackedFrame
 from vssm_gym.viz.mesh import surface_mesh
 
@@ -179,14 +179,14 @@ def test_slices_read_a_sparse_map_as_a_dense_one():
     dense = update(options().prior().map, image.depth, image.rgb, jnp.eye(4), CAMERA, config)
     sparse = stored_sparsely(dense, 900)
     for below in (np.inf, -0.1):
-        a, b = (np.array(sorted(map(tuple, _cells(m, below)))) for m in (dense, sparse))
+        a, b = (np.array(sorted(map(tuple, observed_cells(m, below)))) for m in (dense, sparse))
         assert len(a) > 500
         np.testing.assert_allclose(a, b, atol=1e-6)
         at_cells = np.asarray(dense.occupancy_at(jnp.asarray(a, jnp.float32)))
         assert at_cells.max() < below + 1e-4
         assert (np.asarray(dense.precision(jnp.asarray(a, jnp.float32)))[:, 0] > 0.9).all()
     p = np.random.default_rng(0).uniform(-3.0, 3.0, (4000, 3))
-    (mean, std), (sparse_mean, sparse_std) = _belief(dense, p), _belief(sparse, p)
+    (mean, std), (sparse_mean, sparse_std) = belief_at(dense, p), belief_at(sparse, p)
     np.testing.assert_allclose(mean, sparse_mean, atol=1e-6)
     np.testing.assert_allclose(std, sparse_std, atol=1e-6)
     assert 0 < np.isfinite(mean).sum() < len(p)

@@ -191,8 +191,8 @@ def slices(run: SlamRun, display: Display, counted: float) -> bytes:
     """
     cameras = transform(display.T_display_world, run.poses[:, :3, 3])
     voxel = float(run.map.voxel_size)
-    free = transform(display.T_display_world, _cells(run.map, below=-voxel))
-    seen = transform(display.T_display_world, _cells(run.map))
+    free = transform(display.T_display_world, observed_cells(run.map, below=-voxel))
+    seen = transform(display.T_display_world, observed_cells(run.map))
     figure = Figure(figsize=(11.5, 8.4), layout="constrained")
     for row, (a, b) in zip(figure.subplots(2, 2), ((0, 1), (0, 2)), strict=True):
         fixed = 3 - a - b
@@ -205,7 +205,7 @@ def slices(run: SlamRun, display: Display, counted: float) -> bytes:
         u, v = (np.arange(low[c], high[c], resolution) for c in (a, b))
         p = np.empty((len(v), len(u), 3))
         p[..., a], p[..., b], p[..., fixed] = u, v[:, None], height
-        mean, std = _belief(run.map, transform(inverse(display.T_display_world), p))
+        mean, std = belief_at(run.map, transform(inverse(display.T_display_world), p))
         std *= 1e3 * OBSERVATION_STD / counted
         extent = (u[0], u[-1], v[0], v[-1])
         once = 1e3 * OBSERVATION_STD
@@ -227,7 +227,7 @@ def slices(run: SlamRun, display: Display, counted: float) -> bytes:
     return pictures.webp(figure)
 
 
-def _cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
+def observed_cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
     """Return centres ``(n, 3)`` of the observed cells whose mean occupancy is below a limit (m), map frame."""
     chosen = (np.asarray(m.occupancy_precision) > OBSERVED_PRECISION) & (np.asarray(m.occupancy) < below)
     row, cell = np.nonzero(chosen)  # by storage row: the whole cube of a sparse map may not fit into memory
@@ -241,7 +241,7 @@ def _cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
     return np.asarray(m.origin, float) + (corner + within) * float(m.voxel_size)
 
 
-def _belief(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def belief_at(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return mean of occupancy (m) and precision^-1/2 at points; NaN where one of the eight cells around is unobserved.
 
     The mean crosses zero at the border of observed space, but that crossing is no surface.

@@ -133,9 +133,9 @@ def _process(
 
     with _TrajectoryFile(out) as file:
         run = run_slam(sequence, options, finished, on_progress)
-    filtered, refined = run, None
+    refined = None
     if options.refine:
-        refined = refine(filtered, options, on_progress)
+        refined = refine(run, options, on_progress)
         run = refined.run
         _write(
             out / TRAJECTORY,
@@ -144,7 +144,7 @@ def _process(
     truth = Truth.of(run, sequence)
     stats = summarise(run, sequence, options, time.perf_counter() - start, truth)
     if refined is not None:
-        before = errors(filtered, sequence)
+        before = errors(refined.filtered, sequence)
         stats["refinement"] = {
             "frames": len(refined.nodes),
             "costs": refined.costs,
@@ -159,7 +159,7 @@ def _process(
         lambda: run.posterior.save(out / MAP, sequence=sequence.root.resolve().name, frames=len(run.frames)),
         lambda: write_ply(out / MESH, mesh),
         lambda: _write(out / STATS, json.dumps(stats, indent=1, allow_nan=False) + "\n"),
-        lambda: _write(out / REPORT, page(run, sequence, truth, mesh, stats, options.tracking)),
+        lambda: _write(out / REPORT, page(run, sequence, truth, mesh, stats, options.tracking, refined)),
     )
     for done, write in enumerate(writers, start=1):
         write()

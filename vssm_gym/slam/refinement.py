@@ -40,12 +40,14 @@ class Refinement:
     """Hold the outcome.
 
     Attributes:
+        filtered: the run before.
         run: the same frames at smoothed poses, with a posterior whose map was made from them.
         nodes: numbers of the frames that were smoothed.
         costs: mean residual in standard deviations before each iteration.
         seconds: that it took.
     """
 
+    filtered: SlamRun
     run: SlamRun
     nodes: Int[np.ndarray, "nodes"]
     costs: list[float]
@@ -67,7 +69,7 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
     prism = options.filter(run.reader.camera)
     accepted = np.flatnonzero(~run.lost)
     if len(accepted) < FEWEST_NODES or not isinstance(prism, Prism):
-        return Refinement(run, accepted, [], 0.0)
+        return Refinement(run, run, accepted, [], 0.0)
     nodes = accepted[np.unique(np.linspace(0, len(accepted) - 1, MOST_NODES).round().astype(int))]
     progress = on_progress or (lambda stage, done, total: None)
     images = []
@@ -109,7 +111,7 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
     belief = rigid_belief(last, jnp.asarray(found.covariance[-1], jnp.float32))
     posterior = Posterior(belief, replace(m, pose_errors=errors), run.posterior.measurement_noise)
     seconds = time.perf_counter() - began
-    return Refinement(replace(run, frames=frames, posterior=posterior), nodes, found.costs, seconds)
+    return Refinement(run, replace(run, frames=frames, posterior=posterior), nodes, found.costs, seconds)
 
 
 def carried(

@@ -10,7 +10,8 @@ from vssm_gym.inference.mapping.map_update import MapUpdateConfig
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.maps.voxel_map import OBSERVATION_STD
-from vssm_gym.slam import calibration, figures, states, verdict
+from vssm_gym.slam import calibration, figures, refinement_figures, states, verdict
+from vssm_gym.slam.refinement import Refinement
 from vssm_gym.slam.run import SlamRun
 from vssm_gym.slam.states import Truth
 from vssm_gym.viz.html import Table, render, script, svg_image, webp_image
@@ -32,7 +33,13 @@ OUTSIDE_GRID = 0.2  # a larger proportion of readings outside the grid gives a w
 
 
 def page(
-    run: SlamRun, sequence: Sequence, truth: Truth | None, mesh: Mesh, stats: dict[str, Any], config: TrackingConfig
+    run: SlamRun,
+    sequence: Sequence,
+    truth: Truth | None,
+    mesh: Mesh,
+    stats: dict[str, Any],
+    config: TrackingConfig,
+    refined: Refinement | None = None,
 ) -> str:
     """Return one self-contained HTML page.
 
@@ -43,6 +50,7 @@ def page(
         mesh: surface of its map.
         stats: as :func:`vssm_gym.slam.output.summarise` makes them.
         config: of the filter.
+        refined: what made the run of a filter's, where something did.
     """
     display = figures.Display.of(run, sequence, truth)
     view_picture, view_numbers = figures.views(run)
@@ -70,6 +78,7 @@ def page(
             "picture": svg_image(path_picture),
         },
         errors=_errors(errors),
+        refinement=None if refined is None else _refinement(refined, display, truth),
         in_band=_in_band(stats["calibration"]),
         velocity=webp_image(states.velocity(run, truth)),
         pose_std=webp_image(states.pose_std(run)),
@@ -87,6 +96,18 @@ def page(
         },
         config={name: stats[name] for name in SETTING},
     )
+
+
+def _refinement(refined: Refinement, display: figures.Display, truth: Truth | None) -> dict[str, Any]:
+    """Return the picture of a run before and after it was smoothed, and the table of its images."""
+    numbers = refinement_figures.depth_differences(refined)
+    lines = [[str(index), _millimetres(before), _millimetres(after)] for index, before, after in numbers]
+    return {
+        "frames": len(refined.nodes),
+        "seconds": f"{refined.seconds:.0f}",
+        "picture": webp_image(refinement_figures.before_and_after(refined, display, truth)),
+        "table": Table(["frame", "median |depth difference|, mm: filter", "smoothed"], lines, 1),
+    }
 
 
 def _facts(stats: dict[str, Any]) -> dict[str, tuple[str]]:
