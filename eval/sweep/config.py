@@ -53,7 +53,8 @@ class SweepConfig(BaseModel):
     the registry, also with a planner (``astar+theta_star``), or ``policy:FILE``; a relative path starts at the folder
     of the YAML file.
     ``voxel`` (m) is the cell size of the agents' maps; ``map_poses`` sets whether these are learned at the recorded
-    poses or at PRISM's estimates. ``explore`` is for Explore alone.
+    poses or at PRISM's estimates, ``map_surfaces`` whether they hold what was learned or the scene's surfaces, where
+    those were seen, for budgets of errors. ``explore`` is for Explore alone.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
@@ -71,6 +72,7 @@ class SweepConfig(BaseModel):
     seeds: Seeds = (0,)
     voxel: Annotated[float, Field(gt=0.0, le=0.5)] = DEFAULT_VOXEL
     map_poses: Literal["recorded", "estimated"] = "recorded"
+    map_surfaces: Literal["learned", "exact"] = "learned"
     explore: ExploreSettings | None = None
 
 

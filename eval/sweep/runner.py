@@ -178,7 +178,13 @@ def _jobs(
             map_file = out / "maps" / f"{scene_name(scene)}.npz"
         else:
             map_file = ensure_map(
-                scene, out, voxel=config.voxel, seed=manifest["seed"], poses=config.map_poses, on_progress=on_progress
+                scene,
+                out,
+                voxel=config.voxel,
+                seed=manifest["seed"],
+                poses=config.map_poses,
+                surfaces=config.map_surfaces,
+                on_progress=on_progress,
             )
     with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
     maps = {agent: with_map if agent_type(agent).needs_map else without for agent in config.agents}

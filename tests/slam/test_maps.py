@@ -7,15 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.helpers.box_maps import signed_distance
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.data.recording import PROVENANCE, read_provenance, record
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
 from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
-from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.maps.cell_centres import cell_centres
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap, read_metadata
 from vssm_gym.slam import map_building
-from vssm_gym.slam.map_building import build_map, ensure_map
+from vssm_gym.slam.map_building import build_map, ensure_map, with_exact_surfaces
 from vssm_gym.version import package_version
 
 TABLE = furniture("table", (1.5, 2.0, 0.25), (0.6, 0.6, 0.5))
@@ -181,7 +183,28 @@ def test_a_map_or_drive_is_used_again_where_all_that_decides_it_agrees_and_never
     ensure_map(scene, tmp_path, voxel=0.1, seed=0)
     with pytest.raises(InputError, match=r"rooms\.npz: voxel: expected a map with 0\.2; found 0\.1"):
         ensure_map(scene, tmp_path, voxel=0.2, seed=0)
+    with pytest.raises(InputError, match=r"rooms\.npz: surfaces: expected a map with exact; found learned"):
+        ensure_map(scene, tmp_path, voxel=0.1, seed=0, surfaces="exact")
     assert len(drives) == 1
+
+
+def test_exact_surfaces_are_those_of_the_scene_where_they_were_seen(recording):
+    """Against the distance to the nearest box; what was not observed stays at the prior, and the index follows."""
+    apartment = two_rooms(pieces=(TABLE,))
+    learned = build_map(load_sequence(recording[0]), 0.1)
+    m = with_exact_surfaces(learned, apartment.boxes())
+    observed = np.asarray(learned.occupancy_precision) > OBSERVED_PRECISION
+    np.testing.assert_array_equal(np.asarray(m.occupancy)[~observed], np.asarray(learned.occupancy)[~observed])
+    chosen = np.flatnonzero(observed.ravel())[::97]
+    some = np.zeros(observed.size, bool)
+    some[chosen] = True
+    p = cell_centres(m, some.reshape(observed.shape))
+    expected = np.clip(-np.min([signed_distance(box, p) for box in apartment.boxes()], axis=0), -0.2, 0.2)
+    np.testing.assert_allclose(np.asarray(m.occupancy).ravel()[chosen], expected, atol=1e-6)
+    np.testing.assert_allclose(m.occupancy_at(jnp.asarray(p, jnp.float32)), expected, atol=1e-4)
+    np.testing.assert_array_equal(m.colour, learned.colour)
+    rebuilt = m.with_occupancy(m.occupancy)
+    np.testing.assert_array_equal(m.empty, rebuilt.empty)
 
 
 @pytest.mark.parametrize(

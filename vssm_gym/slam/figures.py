@@ -16,7 +16,7 @@ from vssm_gym.geometry.transforms import R_BODY_CAM, inverse, transform
 from vssm_gym.inference.alignment.residuals import FULL_COVERAGE
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.config import TrackingConfig
-from vssm_gym.maps.block_table import BLOCK, CELLS, PRIOR_SLOT
+from vssm_gym.maps.cell_centres import cell_centres
 from vssm_gym.maps.voxel_map import OBSERVATION_STD, OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.slam.calibration import Calibration, fit_scale
@@ -230,15 +230,7 @@ def slices(run: SlamRun, display: Display, counted: float) -> bytes:
 def observed_cells(m: VoxelMap, below: float = np.inf) -> np.ndarray:
     """Return centres ``(n, 3)`` of the observed cells whose mean occupancy is below a limit (m), map frame."""
     chosen = (np.asarray(m.occupancy_precision) > OBSERVED_PRECISION) & (np.asarray(m.occupancy) < below)
-    row, cell = np.nonzero(chosen)  # by storage row: the whole cube of a sparse map may not fit into memory
-    block = np.arange(len(chosen))
-    if m.table is not None:
-        slot = np.asarray(m.table.slot).reshape(-1)
-        stored = np.flatnonzero(slot != PRIOR_SLOT)
-        block[slot[stored]] = stored
-    corner = np.stack(np.unravel_index(block[row], m.blocks), axis=-1) * BLOCK
-    within = np.stack(np.unravel_index(np.arange(CELLS), (BLOCK,) * 3), axis=-1)[cell]
-    return np.asarray(m.origin, float) + (corner + within) * float(m.voxel_size)
+    return cell_centres(m, chosen)
 
 
 def belief_at(m: VoxelMap, p_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,18 +15,21 @@ from vssm_gym.data.recording import read_provenance, record
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.scenes.solids import SolidBox, signed_distance
 from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
 from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig, update
+from vssm_gym.maps.cell_centres import cell_centres
 from vssm_gym.maps.pose_errors import PoseErrors
-from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, TRUNCATION, VoxelMap, read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.drive_poses import estimate_poses
 from vssm_gym.version import package_version
 
 Poses = Literal["recorded", "estimated"]
+Surfaces = Literal["learned", "exact"]
 
 BOUNDS_MARGIN = 0.25  # m around the farthest points seen, for the truncation band and the noise of other frames
 LOOKED_AT = 200  # about how many frames the bounds are computed from
@@ -175,6 +178,7 @@ def ensure_map(
     voxel: float,
     seed: int,
     poses: Poses = "recorded",
+    surfaces: Surfaces = "learned",
     on_progress: OnProgress | None = None,
 ) -> Path:
     """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
@@ -188,6 +192,7 @@ def ensure_map(
         voxel: cell size, m.
         seed: of the recorded drive.
         poses: at which the images enter the map: see :func:`build_map`.
+        surfaces: ``exact`` replaces what it has learned by :func:`with_exact_surfaces`, for budgets of errors.
         on_progress: called after every frame recorded and every frame mapped.
 
     Raises:
@@ -203,8 +208,8 @@ def ensure_map(
     }
     map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
     if map_file.exists():
-        found = read_metadata(map_file)
-        _check_origin(map_file, "map", found, origin | {"voxel": voxel, "poses": poses})
+        found = {"surfaces": "learned"} | read_metadata(map_file)
+        _check_origin(map_file, "map", found, origin | {"voxel": voxel, "poses": poses, "surfaces": surfaces})
         if poses == "estimated" and "pose_errors" not in found:
             raise InputError(map_file, "pose_errors", f"the errors of its estimated poses; found none ({ADVICE})")
         return map_file
@@ -214,9 +219,26 @@ def ensure_map(
         recording.parent.mkdir(parents=True, exist_ok=True)
         record(scene, recording, noise=NOISE, seed=seed, on_progress=on_progress)
     voxel_map = build_map(load_sequence(recording), voxel, on_progress, poses=poses)
+    if surfaces == "exact":
+        voxel_map = with_exact_surfaces(voxel_map, apartment.boxes())
     map_file.parent.mkdir(parents=True, exist_ok=True)
-    voxel_map.save(map_file, **origin, voxel=voxel, poses=poses, package_version=package_version())
+    made = {"voxel": voxel, "poses": poses, "surfaces": surfaces, "package_version": package_version()}
+    voxel_map.save(map_file, **origin, **made)
     return map_file
+
+
+def with_exact_surfaces(m: VoxelMap, boxes: list[SolidBox]) -> VoxelMap:
+    """Return the map with ``-signed distance``, truncated, in all of its observed cells; what it saw stays as it is.
+
+    Args:
+        m: learned from images, world frame.
+        boxes: the solids of its scene.
+    """
+    observed = np.asarray(m.occupancy_precision) > OBSERVED_PRECISION
+    largest = TRUNCATION * float(m.voxel_size)
+    occupancy = np.array(m.occupancy)
+    occupancy[observed] = np.clip(-signed_distance(cell_centres(m, observed), boxes, largest), -largest, largest)
+    return m.with_occupancy(jnp.asarray(occupancy))
 
 
 def _check_origin(path: Path, what: str, found: dict[str, Any], wanted: dict[str, Any]) -> None:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from vssm_gym.data.recording import record
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import load_scene
-from vssm_gym.envs.scenes.solids import SolidBox
+from vssm_gym.envs.scenes.solids import signed_distance
 from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.surfaces import sample_mesh
 from vssm_gym.maps.surface_std import surface_std
@@ -73,15 +73,3 @@ def measure(
     distance = signed_distance(points, load_scene(scene).boxes())
     known = np.isfinite(std)
     return SurfaceErrors(np.clip(distance, -LARGEST_ERROR, LARGEST_ERROR)[known], std[known])
-
-
-def signed_distance(points: Float[np.ndarray, "n 3"], boxes: list[SolidBox]) -> Float[np.ndarray, "n"]:
-    """Return the distance (m) to the nearest face of any box, negative inside a box; exact outside of all."""
-    nearest = np.full(len(points), np.inf)
-    for box in boxes:
-        d, c, s = points - np.array(box.center), np.cos(box.yaw), np.sin(box.yaw)
-        local = np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], axis=-1)
-        q = np.abs(local) - 0.5 * np.array(box.size)
-        outside = np.linalg.norm(np.maximum(q, 0.0), axis=1)
-        nearest = np.minimum(nearest, outside + np.minimum(q.max(axis=1), 0.0))
-    return nearest

@@ -10,12 +10,12 @@ import pytest
 from tests.helpers.analytic_room import box_distance
 from tests.helpers.box_rooms import PLAIN
 from vssm_gym.cli import study as commands
-from vssm_gym.envs.scenes.solids import SolidBox
+from vssm_gym.envs.scenes.solids import SolidBox, signed_distance
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import page
 from vssm_gym.eval.studies.map_reliability import study as reliability_study
 from vssm_gym.eval.studies.map_reliability.study import Row, Setting, finished
-from vssm_gym.eval.studies.map_reliability.surface_errors import POINTS, SurfaceErrors, measure, signed_distance
+from vssm_gym.eval.studies.map_reliability.surface_errors import POINTS, SurfaceErrors, measure
 from vssm_gym.eval.studies.map_reliability.table import HEADER, lines_of, study_of, summarise
 from vssm_gym.eval.studies.page import write_study
 
@@ -66,6 +66,8 @@ def test_distances_are_signed_and_those_of_a_turned_box() -> None:
     other = SolidBox("other", "wall", (-1.0, 1.0, 0.0), (0.2, 0.2, 0.2), 0.0, PLAIN)
     both = np.minimum(signed_distance(p, [box]), signed_distance(p, [other]))
     np.testing.assert_array_equal(signed_distance(p, [box, other]), both)
+    near = signed_distance(p, [box, other], within=0.3)
+    np.testing.assert_array_equal(np.minimum(near, 0.3), np.minimum(both, 0.3))
 
 
 @pytest.mark.parametrize("change", [{"maps": 0}, {"seed": -1}, {"voxel": 0.001}, {"split": "all"}])

@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 import shapely
+from jaxtyping import Float
 
 from vssm_gym.envs.scenes.apartment_parts import Door, Furniture, Material, Room, Wall, Window
 
@@ -270,3 +271,25 @@ def _pane(name: str, wall: Wall, window: Window) -> SolidBox:
     center = _place(wall, window.offset + window.width / 2, 0.0, wall.base + window.sill + window.height / 2)
     size = (window.width, min(PANE, wall.thickness), window.height)
     return SolidBox(name, "window", center, size, wall.yaw, window.material)
+
+
+def signed_distance(
+    points: Float[np.ndarray, "n 3"], boxes: Sequence[SolidBox], within: float = np.inf
+) -> Float[np.ndarray, "n"]:
+    """Return the distance (m) to the nearest face of any box, negative inside a box; exact outside of all.
+
+    Args:
+        points: world frame, m.
+        boxes: solid.
+        within: m; a larger distance may be returned as infinity, which saves time.
+    """
+    nearest = np.full(len(points), np.inf)
+    for box in boxes:
+        reach = 0.5 * float(np.linalg.norm(box.size)) + within
+        near = np.flatnonzero((np.abs(points - np.array(box.center)) <= reach).all(axis=1))
+        d, c, s = points[near] - np.array(box.center), np.cos(box.yaw), np.sin(box.yaw)
+        local = np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]], axis=-1)
+        q = np.abs(local) - 0.5 * np.array(box.size)
+        outside = np.linalg.norm(np.maximum(q, 0.0), axis=1)
+        nearest[near] = np.minimum(nearest[near], outside + np.minimum(q.max(axis=1), 0.0))
+    return nearest
