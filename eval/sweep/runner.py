@@ -126,8 +126,9 @@ def leave_unguarded_import() -> None:
 
 def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
     """Hash what determines the results (configuration, scenes, policies, own agents' code, seed); 16 hex digits."""
-    content = config.model_dump(mode="json", exclude={"explore"} if config.explore is None else None)
-    content = without_defaults(content)
+    content = _stated(config)
+    if config.explore is None:
+        del content["explore"]
     content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
     content["agents"] = [hashed_name(agent_label(agent)) for agent in config.agents]
     if codes := code_hashes(own_agents(config.agents)):
@@ -135,12 +136,20 @@ def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) ->
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
+def _stated(config: SweepConfig) -> dict[str, Any]:
+    """Return the fields of a configuration, fields that came later only where they differ from what was before them."""
+    content = without_defaults(config.model_dump(mode="json"))
+    if config.map_surfaces == "learned":
+        del content["map_surfaces"]
+    return content
+
+
 def _manifest(
     config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Shard | None
 ) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     protocol = protocol_of(config.env[0])
-    shown = without_defaults(config.model_dump(mode="json")) | {
+    shown = _stated(config) | {
         "scenes": [scene_name(scene) for scene in config.scenes],
         "agents": [agent_label(agent) for agent in config.agents],
     }

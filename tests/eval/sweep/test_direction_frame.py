@@ -37,6 +37,7 @@ def test_the_hash_of_a_configuration_counts_another_frame_only():
     """A sweep from before the field existed can be resumed."""
     of = lambda config: config_hash(config, {"oak": "h"}, 0)
     assert of(BODY) == of(BODY.model_copy(update={"direction_frame": ("body",)})) == "053472766f7c2149"
+    assert of(BODY.model_copy(update={"map_surfaces": "exact"})) != of(BODY)
     assert len({of(BODY), of(BOTH), of(BODY.model_copy(update={"direction_frame": ("world",)}))}) == 3
 
 
