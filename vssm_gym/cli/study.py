@@ -356,7 +356,7 @@ def smoothing(
     *,
     out: Path,
     walks: int = 8,
-    flights: int = 12,
+    flights: int = 16,
     split: Literal["train", "test"] = "train",
     rate: float = 10.0,
     depth: str = "good",
@@ -374,7 +374,7 @@ def smoothing(
         walks: simulated walks with a Kinect through apartments.
         flights: simulated flights with a stereo camera through a hall, at 1 to 4 m/s.
         split: scenes and seeds to tune on (train) or to judge on (test).
-        rate: frames per second at most, of the given sequences; every other image judges the maps.
+        rate: frames per second at most, of the given sequences; images in between judge the maps.
         depth: what measured the depth of the given sequences: good or stereo.
         seed: of the simulated recordings.
         resume: continue in OUT with the rows that are missing.
@@ -384,16 +384,14 @@ def smoothing(
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.eval.studies.smoothing import study as smoothing_study
     from vssm_gym.files.output_folders import check_folder
-    from vssm_gym.slam.run import SlamOptions
 
-    setting = smoothing_study.Setting(split, seed, walks, flights)
-    options = SlamOptions(rate=rate, depth=depth)
+    setting = smoothing_study.Setting(split, seed, walks, flights, rate, depth)
     recordings = smoothing_study.checked([load_sequence(sequence) for sequence in sequences], setting)
     check_folder(out)
     with study_folder("smoothing", out, resume):
         done = smoothing_study.finished(out / "smoothing.json", setting) if resume else {}
         with progress_bars() as progress:
-            for study in smoothing_study.run(recordings, setting, options, done=done, on_progress=progress):
+            for study in smoothing_study.run(recordings, setting, done=done, on_progress=progress):
                 page = write_study(study, out)
         for line in _aligned([study.header, *study.lines]):
             say(line)

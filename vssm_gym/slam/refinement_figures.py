@@ -88,18 +88,19 @@ def _largest_std(frame: TrackedFrame) -> float:
 
 
 def _errors(axes: Axes, refined: Refinement, truth: Truth | None) -> None:
-    """Draw the distance of both runs to the truth, each aligned by its first pose."""
-    if truth is None:
+    """Draw the distance of both runs to the truth at tracked frames, each aligned by the first of them."""
+    if truth is None or refined.filtered.lost[truth.rows].all():
         axes.axis("off")
-        axes.text(0.5, 0.5, "no ground truth", ha="center", color="0.4")
+        axes.text(0.5, 0.5, "no ground truth at tracked frames", ha="center", color="0.4")
         return
-    t = refined.run.times[truth.rows] - refined.run.times[0]
-    true = truth.T_world_cam
+    rows = truth.rows[~refined.filtered.lost[truth.rows]]
+    true = truth.T_world_cam[~refined.filtered.lost[truth.rows]]
+    t = refined.run.times[rows] - refined.run.times[0]
     for run, colour, name in (
         (refined.filtered, FILTER_COLOUR, "filter"),
         (refined.run, pictures.ESTIMATE_COLOUR, "smoothed"),
     ):
-        poses = run.poses[truth.rows]
+        poses = run.poses[rows]
         own = poses[0] @ inverse(true[0]) @ true
         axes.plot(t, 100.0 * np.linalg.norm((poses - own)[:, :3, 3], axis=1), color=colour, label=name)
     axes.set(title="distance to the truth, first pose aligned", xlabel="time, s", ylabel="position error, cm")

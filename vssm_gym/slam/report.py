@@ -50,7 +50,7 @@ def page(
         mesh: surface of its map.
         stats: as :func:`vssm_gym.slam.output.summarise` makes them.
         config: of the filter.
-        refined: what made the run of a filter's, where something did.
+        refined: the smoothing that the run is the outcome of, where there was one.
     """
     display = figures.Display.of(run, sequence, truth)
     view_picture, view_numbers = figures.views(run)
@@ -78,7 +78,7 @@ def page(
             "picture": svg_image(path_picture),
         },
         errors=_errors(errors),
-        refinement=None if refined is None else _refinement(refined, display, truth),
+        refinement=_refinement(refined, display, truth) if refined and refined.costs else None,
         in_band=_in_band(stats["calibration"]),
         velocity=webp_image(states.velocity(run, truth)),
         pose_std=webp_image(states.pose_std(run)),

@@ -54,7 +54,7 @@ def estimate(recording: Sequence, options: SlamOptions, on_progress: OnProgress 
 
 
 def stated(done: SlamRun, truth: tuple[np.ndarray, np.ndarray]) -> Estimates:
-    """Return what a run states at every frame, beside the times (s) and poses of its truth."""
+    """Return what a run states at every frame, with the times (s) and poses of its truth."""
     n = len(done.frames)
     velocity, covariance = np.full((n, 6), np.nan), np.full((n, 12, 12), np.nan)
     for i, frame in enumerate(done.frames):
@@ -85,7 +85,7 @@ def errors_of(given: Estimates, delay: float = 0.0, first_pose: Float[np.ndarray
     moved = kept[np.isin(kept - 1, known)]
     if not len(moved):
         expected = "two in a row that are tracked, with ground-truth poses"
-        raise InputError("study calibration", "frames", expected)
+        raise InputError("study", "frames", expected)
     off = given.velocity[moved] - velocities(given.times, T_true)[moved - 1]
     std = np.sqrt(np.einsum("nii->ni", given.covariance[moved][:, VELOCITY, VELOCITY]))
     return FilterErrors(
@@ -106,7 +106,7 @@ def aligned_truth(
     known = np.unique(trajectory_error.associate(given.times, times)[0])  # the same for every delay
     tracked = known[given.accepted[known]]
     if not len(tracked):
-        raise InputError("study calibration", "frames", "one that is tracked, with a ground-truth pose")
+        raise InputError("study", "frames", "one that is tracked, with a ground-truth pose")
     start = int(tracked[0])
     origin = times[0]  # stamps since 1970 leave no digits for a small change of the delay
     T_true = interpolate(times - origin, poses, given.times - origin + delay)

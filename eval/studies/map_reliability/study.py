@@ -6,15 +6,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from vssm_gym.envs.tasks.navigation import Split
-from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
 from vssm_gym.eval.studies.map_reliability.surface_errors import measure
 from vssm_gym.eval.studies.map_reliability.table import StoredRow, study_of, summarise
 from vssm_gym.eval.studies.page import Study, labelled
-from vssm_gym.files.json_file import read_json
+from vssm_gym.eval.studies.stored_rows import stored_rows
 from vssm_gym.progress import OnProgress
-from vssm_gym.version import package_version
 
 SOURCE = "study map-reliability"
 SMALLEST_CELL, LARGEST_CELL = 0.02, 0.2  # m
@@ -88,22 +86,9 @@ def run(setting: Setting, *, done: Mapping[str, Any], on_progress: OnProgress | 
 
 
 def finished(path: Path, setting: Setting) -> dict[str, dict[str, Any]]:
-    """Return the rows of an outcome that is continued; none where there is no file.
-
-    Raises:
-        InputError: no outcome of this study, another setting, or another version of the package.
-    """
-    if not path.is_file():
-        return {}
+    """Return the rows of an outcome that is continued; see :func:`~vssm_gym.eval.studies.stored_rows.stored_rows`."""
     expected = "the outcome of a study of maps' reliability"
-    stored = read_json(path, expected=expected)
-    parts = [stored.get(name) if isinstance(stored, dict) else None for name in ("setting", "figures")]
-    rows = parts[1].get("rows") if isinstance(parts[1], dict) else None
-    if not isinstance(parts[0], dict) or not isinstance(rows, dict) or not set(rows) <= set(ROWS):
+    rows = stored_rows(path, asdict(setting), StoredRow, expected)
+    if not rows.keys() <= ROWS.keys():
         raise InputError(path, "content", expected)
-    found = parts[0] | {"version": stored.get("version")}
-    for name, value in {**asdict(setting), "version": package_version()}.items():
-        if found.get(name) != value:
-            raise InputError(path, name, f"{value}, as in this study; found {found.get(name)!r:.80}")
-    models = {name: validated(StoredRow, row, path, f"figures.rows.{name}") for name, row in rows.items()}
-    return {name: model.model_dump(mode="json") for name, model in models.items()}
+    return rows

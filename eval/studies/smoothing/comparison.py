@@ -42,16 +42,16 @@ def compare(recording: Sequence, options: SlamOptions, on_progress: OnProgress |
     """
     if recording.truth is None:
         raise InputError(recording.root / "groundtruth.txt", "file", "ground-truth poses, which this study needs")
+    true = recording.true_poses()
     began = time.perf_counter()
     filtered = run_slam(recording, options, on_progress=on_progress)
     seconds = time.perf_counter() - began
     refined = refine(filtered, options, on_progress)
-    true = recording.true_poses()
     unused = np.setdiff1d(np.arange(len(recording.frames)), [frame.index for frame in filtered.frames])
     last = filtered.frames[-1].index
     unused = unused[unused < last]
     judged = unused[np.unique(np.linspace(0, len(unused) - 1, JUDGED_VIEWS).round().astype(int))] if len(unused) else []
-    measure = lambda run: _measured(run, recording, true, np.asarray(judged, int))
+    measure = lambda run: _measured(run, recording, true, np.asarray(judged, int), options.max_depth)
     used = true[[frame.index for frame in filtered.frames], :3, 3]
     return {
         "seconds": float(filtered.times[-1] - filtered.times[0]),
@@ -64,11 +64,12 @@ def compare(recording: Sequence, options: SlamOptions, on_progress: OnProgress |
     }
 
 
-def _measured(run: SlamRun, recording: Sequence, true: np.ndarray, judged: np.ndarray) -> dict[str, Any]:
+def _measured(
+    run: SlamRun, recording: Sequence, true: np.ndarray, judged: np.ndarray, max_depth: float
+) -> dict[str, Any]:
     """Return the errors of poses and map of one run; those of the map are None without images to judge it by."""
     assert recording.truth is not None
-    indices = [frame.index for frame in run.frames]
-    alignment = trajectory_error.align(run.poses[:, :3, 3], true[indices, :3, 3])
+    indices = np.array([frame.index for frame in run.frames])
     errors = trajectory_error.ate(run.poses, true[indices])
     found = errors_of(stated(run, recording.truth))
     d = found.residuals.shape[1]
@@ -81,16 +82,18 @@ def _measured(run: SlamRun, recording: Sequence, true: np.ndarray, judged: np.nd
     }
     if not len(judged):
         return poses | dict.fromkeys(("depth_l1", "log_likelihood", "hit_share"))
+    reader, tracked = run.reader, np.flatnonzero(~run.lost)
+    # Of the frames that the map was made of: a guess at a lost one says nothing of where the map lies.
+    alignment = trajectory_error.align(run.poses[tracked, :3, 3], true[indices[tracked], :3, 3])
     A = np.eye(4)
     A[:3, :3], A[:3, 3] = alignment.rotation, alignment.translation
-    reader, tracked = run.reader, np.flatnonzero(~run.lost)
     shown = tracked[np.unique(np.linspace(0, len(tracked) - 1, JUDGED_VIEWS).round().astype(int))]
-    fitted = Views.stack([reader[indices[i]] for i in shown], run.poses[shown], reader.camera)
+    fitted = Views.stack([reader[int(indices[i])] for i in shown], run.poses[shown], reader.camera)
     views = Views.stack([reader[int(i)] for i in judged], inverse(A) @ true[judged], reader.camera)
     m = replace(run.map, pose_errors=None)
-    judgement = held_out(m, views, fit_scales(m, fitted))
+    judgement = held_out(m, views, fit_scales(m, fitted, max_depth), max_depth)
     return poses | {
-        "depth_l1": judgement.depth_l1,
+        "depth_l1": judgement.depth_l1 if np.isfinite(judgement.depth_l1) else None,
         "log_likelihood": judgement.log_likelihood,
         "hit_share": judgement.hit_share,
     }

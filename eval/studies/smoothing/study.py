@@ -12,7 +12,6 @@ from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import Sequence, load_sequence
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import Split
-from vssm_gym.envs.validation import validated
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.calibration.rows import FLIGHT_OPTIONS, FLIGHT_SCENE
 from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
@@ -20,10 +19,9 @@ from vssm_gym.eval.studies.flight import YAWS
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.eval.studies.smoothing.comparison import SOURCE, compare
 from vssm_gym.eval.studies.smoothing.table import StoredRow, study_of
-from vssm_gym.files.json_file import read_json
+from vssm_gym.eval.studies.stored_rows import stored_rows
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.run import SlamOptions
-from vssm_gym.version import package_version
 
 SMOOTHED_METRES = 15.0  # of a walk: about a minute, turns included
 SPEEDS = (1.0, 2.0, 3.0, 4.0)  # m/s, peak, of flights in turn
@@ -40,7 +38,14 @@ class Setting:
     split: Split = "train"
     seed: int = 0
     walks: int = 8
-    flights: int = 12
+    flights: int = 16
+    rate: float = 10.0  # frames a second at most, of given recordings
+    depth: str = "good"  # what measured theirs: a key of DEPTHS
+
+    @property
+    def options(self) -> SlamOptions:
+        """Return the options of the filter for given recordings."""
+        return SlamOptions(rate=self.rate, depth=self.depth)
 
     def __post_init__(self) -> None:
         if self.split not in DIVISIONS:
@@ -50,13 +55,14 @@ class Setting:
         for name in ("walks", "flights"):
             if not 0 <= getattr(self, name) <= 1000:
                 raise InputError(SOURCE, name, f"between 0 and 1000; found {getattr(self, name)}")
+        _ = self.options  # checks rate and depth
 
 
 def checked(recordings: list[Sequence], setting: Setting) -> list[Sequence]:
-    """Return the recordings, each with ground truth and a name of its own.
+    """Return the recordings, each with ground truth at every frame and a name of its own.
 
     Raises:
-        InputError: one without ground truth, two of one name, or nothing to measure at all.
+        InputError: one without such ground truth, two of one name, or nothing to measure at all.
     """
     if not recordings and not setting.walks and not setting.flights:
         raise InputError(SOURCE, "walks", "walks, flights or recordings; found none")
@@ -64,6 +70,7 @@ def checked(recordings: list[Sequence], setting: Setting) -> list[Sequence]:
     for one, name in zip(recordings, names, strict=True):
         if one.truth is None:
             raise InputError(one.root / "groundtruth.txt", "file", "ground-truth poses, which this study needs")
+        one.true_poses()  # one at every frame, said before hours of work
         if names.count(name) > 1:
             raise InputError(SOURCE, "sequences", f"folders with different names; found {name!r} twice")
     return recordings
@@ -72,7 +79,6 @@ def checked(recordings: list[Sequence], setting: Setting) -> list[Sequence]:
 def run(
     recordings: list[Sequence],
     setting: Setting,
-    options: SlamOptions,
     *,
     done: Mapping[str, Any],
     on_progress: OnProgress | None = None,
@@ -81,8 +87,7 @@ def run(
 
     Args:
         recordings: given ones, with ground truth.
-        setting: split, seed and numbers of simulated ones.
-        options: of the filter for given ones.
+        setting: split, seed and numbers of simulated ones; options of the filter for given ones.
         done: rows that are not measured again.
         on_progress: called with (recording, steps done, steps).
 
@@ -99,7 +104,7 @@ def run(
             continue
         show = labelled(on_progress, name)
         if name in given:
-            rows[name] = compare(given[name], options, show)
+            rows[name] = compare(given[name], setting.options, show)
         else:
             with tempfile.TemporaryDirectory(prefix="vssm-gym-smoothing-") as folder:
                 kept = simulated[name](Path(folder) / "recording")
@@ -110,25 +115,8 @@ def run(
 
 
 def finished(path: Path, setting: Setting) -> dict[str, dict[str, Any]]:
-    """Return the rows of an outcome that is continued; none where there is no file.
-
-    Raises:
-        InputError: no outcome of this study, another setting, or another version of the package.
-    """
-    if not path.is_file():
-        return {}
-    expected = "the outcome of a study of the smoother"
-    stored = read_json(path, expected=expected)
-    parts = [stored.get(name) if isinstance(stored, dict) else None for name in ("setting", "figures")]
-    rows = parts[1].get("rows") if isinstance(parts[1], dict) else None
-    if not isinstance(parts[0], dict) or not isinstance(rows, dict) or not rows:
-        raise InputError(path, "content", expected)
-    found = parts[0] | {"version": stored.get("version")}
-    for name, value in {**asdict(setting), "version": package_version()}.items():
-        if found.get(name) != value:
-            raise InputError(path, name, f"{value}, as in this study; found {found.get(name)!r:.80}")
-    models = {name: validated(StoredRow, row, path, f"figures.rows.{name:.80}") for name, row in rows.items()}
-    return {name: model.model_dump(mode="json") for name, model in models.items()}
+    """Return the rows of an outcome that is continued; see :func:`~vssm_gym.eval.studies.stored_rows.stored_rows`."""
+    return stored_rows(path, asdict(setting), StoredRow, "the outcome of a study of the smoother")
 
 
 def _simulated(setting: Setting) -> dict[str, Callable[[Path], SlamOptions]]:

@@ -108,22 +108,37 @@ def line_of(name: str, row: Mapping[str, Any]) -> list[str]:
 
 
 def answer(rows: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say by how much trajectories, maps and covariances differ."""
+    """Say by how much trajectories, covariances and maps differ, walks, flights and recordings apart."""
+    said = [f"{name}: {_answer_of(chosen)}" for name, chosen in kinds(rows).items()]
+    took = [
+        (row["filter"]["seconds"] + row["smoother"]["seconds"]) / max(row["seconds"], 1e-9) for row in rows.values()
+    ]
+    return f"{' '.join(said)} Both together take {np.median(took):.1f} times real time (median)."
+
+
+def kinds(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Return the rows of walks, flights and given recordings, those that there are."""
+    found: dict[str, dict[str, Mapping[str, Any]]] = {"Walks": {}, "Flights": {}, "Recordings": {}}
+    for name, row in rows.items():
+        kind = {"walk": "Walks", "flight": "Flights"}.get(name.split(" ")[0], "Recordings")
+        found[kind][name] = row
+    return {kind: chosen for kind, chosen in found.items() if chosen}
+
+
+def _answer_of(rows: Mapping[str, Mapping[str, Any]]) -> str:
     ratios = {name: ratio_of(row) for name, row in rows.items()}
     worst = max(ratios, key=lambda name: ratios[name])
-    judged = [row for row in rows.values() if row["filter"]["depth_l1"] is not None]
-    better = lambda field, sign: sum(sign * (row["smoother"][field] - row["filter"][field]) > 0.0 for row in judged)
-    took = lambda row: (row["filter"]["seconds"] + row["smoother"]["seconds"]) / max(row["seconds"], 1e-9)
     nees = np.mean([row["smoother"]["nees"] for row in rows.values()])
     said = (
-        f"Smoothed ATE over the filter's: {np.mean(list(ratios.values())):.2f} in the mean of {len(rows)}, at most "
-        f"{ratios[worst]:.2f} ({worst}). NEES / dim of smoothed poses: {nees:.2f} in the mean. "
-        f"Both together take {np.median([took(row) for row in rows.values()]):.1f} times real time in the median."
+        f"mean ratio of ATE, smoothed to filtered, {np.mean(list(ratios.values())):.2f} of {len(rows)}, largest "
+        f"{ratios[worst]:.2f} ({worst}); mean NEES / dim of smoothed poses {nees:.2f}"
     )
+    judged = [row for row in rows.values() if None not in (row["filter"]["depth_l1"], row["smoother"]["depth_l1"])]
     if not judged:
-        return said
-    return said + (
-        f" In images that were held out, depth is better in {better('depth_l1', -1.0)} and the log-likelihood in "
+        return f"{said}."
+    better = lambda field, sign: sum(sign * (row["smoother"][field] - row["filter"][field]) > 0.0 for row in judged)
+    return (
+        f"{said}; in held-out images depth is better in {better('depth_l1', -1.0)} and the log-likelihood in "
         f"{better('log_likelihood', 1.0)} of {len(judged)}."
     )
 

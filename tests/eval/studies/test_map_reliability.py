@@ -12,7 +12,7 @@ from tests.helpers.box_rooms import PLAIN
 from vssm_gym.cli import study as commands
 from vssm_gym.envs.scenes.solids import SolidBox, signed_distance
 from vssm_gym.errors import InputError
-from vssm_gym.eval.studies import page
+from vssm_gym.eval.studies import page, stored_rows
 from vssm_gym.eval.studies.map_reliability import study as reliability_study
 from vssm_gym.eval.studies.map_reliability.study import Row, Setting, finished
 from vssm_gym.eval.studies.map_reliability.surface_errors import POINTS, SurfaceErrors, measure
@@ -80,7 +80,7 @@ def test_a_bad_option_writes_nothing(tmp_path: Path, change: dict) -> None:
 @pytest.fixture
 def known_version(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set the version: asking git for it takes longer than the rest."""
-    for module in (page, reliability_study):
+    for module in (page, stored_rows):
         monkeypatch.setattr(module, "package_version", lambda: "1.0")
 
 

@@ -2,6 +2,7 @@
 
 import json
 import xml.etree.ElementTree as ET
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from vssm_gym.cli import study as commands
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.errors import InputError
-from vssm_gym.eval.studies import page
+from vssm_gym.eval.studies import page, stored_rows
 from vssm_gym.eval.studies.page import write_study
 from vssm_gym.eval.studies.smoothing import study as smoothing_study
 from vssm_gym.eval.studies.smoothing.comparison import compare
@@ -29,9 +30,12 @@ def row(after: float = 0.005, **changed: Any) -> dict[str, Any]:
     return {**counts, "filter": measured(), "smoother": smoothed, **changed}
 
 
-def test_the_answer_says_by_how_much_and_where_it_is_worst() -> None:
-    study = study_of({"a walk": row(), "a flight": row(0.011)}, {"split": "train"})
-    assert "0.80 in the mean of 2, at most 1.10 (a flight)" in study.answer
+def test_the_answer_tells_walks_flights_and_recordings_apart_and_where_it_is_worst() -> None:
+    rows = {"walk 0, a": row(), "walk 1, b": row(0.011), "flight 0, c": row(0.002), "mine": row(0.004)}
+    study = study_of(rows, {"split": "train"})
+    assert "Walks: mean ratio of ATE, smoothed to filtered, 0.80 of 2, largest 1.10 (walk 1, b)" in study.answer
+    assert "Flights: mean ratio of ATE, smoothed to filtered, 0.20 of 1" in study.answer
+    assert "Recordings: mean ratio" in study.answer and "0.40 of 1" in study.answer
     assert "depth is better in 2 and the log-likelihood in 2 of 2" in study.answer
     assert "3.0 times real time" in study.answer
     assert all(len(line) == len(HEADER) for line in study.lines)
@@ -46,7 +50,10 @@ def test_a_recording_without_images_to_judge_by_has_dashes() -> None:
     assert "held out" not in study.answer
 
 
-@pytest.mark.parametrize("change", [{"walks": -1}, {"seed": -1}, {"split": "all"}, {"walks": 0, "flights": 0}])
+@pytest.mark.parametrize(
+    "change",
+    [{"walks": -1}, {"seed": -1}, {"split": "all"}, {"walks": 0, "flights": 0}, {"rate": 0.0}, {"depth": "lidar"}],
+)
 def test_a_bad_option_writes_nothing(tmp_path: Path, change: dict) -> None:
     with pytest.raises(InputError, match=next(iter(change))):
         commands.smoothing(out=tmp_path / "out", **change)
@@ -56,17 +63,19 @@ def test_a_bad_option_writes_nothing(tmp_path: Path, change: dict) -> None:
 @pytest.fixture
 def known_version(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set the version: asking git for it takes longer than the rest."""
-    for module in (page, smoothing_study):
+    for module in (page, stored_rows):
         monkeypatch.setattr(module, "package_version", lambda: "0.1.0+test")
 
 
 def test_a_study_is_continued_with_its_own_rows_alone(tmp_path: Path, known_version: None) -> None:
     setting, path = Setting(), tmp_path / "smoothing.json"
     assert finished(path, setting) == {}
-    write_study(study_of({"walk 0, fern": row()}, {"split": "train", "seed": 0, "walks": 8, "flights": 12}), tmp_path)
+    write_study(study_of({"walk 0, fern": row()}, asdict(setting)), tmp_path)
     assert finished(path, setting) == {"walk 0, fern": row()}
     with pytest.raises(InputError, match=r"seed: .*1, as in this study; found 0"):
         finished(path, Setting(seed=1))
+    with pytest.raises(InputError, match=r"depth: .*stereo, as in this study; found 'good'"):
+        finished(path, Setting(depth="stereo"))
     damaged = json.loads(path.read_text())
     damaged["figures"]["rows"]["walk 0, fern"]["filter"]["nees"] = "small"
     path.write_text(json.dumps(damaged))

@@ -10,8 +10,7 @@ import pytest
 
 from vssm_gym.cli import study as commands
 from vssm_gym.errors import InputError
-from vssm_gym.eval.studies import page
-from vssm_gym.eval.studies.calibration import stored as stored_rows
+from vssm_gym.eval.studies import page, stored_rows
 from vssm_gym.eval.studies.calibration import study as calibration_study
 from vssm_gym.eval.studies.calibration.errors import FilterErrors, RunErrors, summarise
 from vssm_gym.eval.studies.calibration.rows import ROWS, Row
