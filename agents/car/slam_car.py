@@ -17,7 +17,7 @@ from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.car.vi_mpc import PROBLEM, SafeMpc
 from vssm_gym.agents.shared.car.driver import CarCommand
 from vssm_gym.agents.shared.car.growing_critic import GrowingConfig, GrowingCritic
-from vssm_gym.agents.shared.car.lead import Lead
+from vssm_gym.agents.shared.car.lead import Leader
 from vssm_gym.agents.shared.car.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.car.progress import Progress, Stuck, StuckConfig
 from vssm_gym.agents.shared.car.recovery import (
@@ -45,7 +45,6 @@ from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED
 CAR_MAP = OwnMapConfig(voxel=0.04, extent=24.0, levels=(-0.3, 2.7), heights=CAR_HEIGHTS, ring=0.03)
 # Where it may drive only a little way it would put that off for ever: a plan that gets on earlier is cheaper.
 HASTY = replace(PROBLEM, config=replace(PROBLEM.config, haste=0.05))
-LED_REACH = 0.03  # m that have to be free where it is led: its route may turn back after that
 BY_STATUS = {  # of an estimate that is not believed
     Status.FROZEN: Failure.FROZEN,
     Status.REPEATED: Failure.REPEATED,
@@ -160,8 +159,7 @@ class SlamCarAgent:
         self._parking = ParkingRule(self._car, target)
         self._recovery = Recovery()
         self._mpc.begin(self._command)
-        self._lead: Lead | None = None  # along a route that the controller did not find
-        self._to_lead = self._held = False  # where the next plan allows it; whether a plan has led nowhere before
+        self._leader = Leader(self._car)
 
     def _failure(self, at: Localization) -> Failure | None:
         """Return what is wrong now, and note where the car was held."""
@@ -179,12 +177,12 @@ class SlamCarAgent:
             self._progress.see(self._critic.computed, self._critic.motions(at.planar))
         if self._progress.steps == c.unseen_steps and self._critic.dare(at.planar):
             self._progress.restart()
-            self._to_lead = self._critic.hesitates
+            self._leader.failed(Failure.UNSEEN, self._critic.hesitates)
             return Failure.UNSEEN
         if self._progress.steps >= c.held_steps:
             self._progress.restart()
             self._critic.forget()
-            self._to_lead, self._held = self._held, True
+            self._leader.failed(Failure.HELD, self._critic.hesitates)
             return Failure.HELD
         return Failure.NO_PATH if self._critic.aim is None else None
 
@@ -195,7 +193,7 @@ class SlamCarAgent:
         if response is not Response.DRIVE or aim is None:
             self._mpc.begin(self._command)
             self._progress.restart()
-            self._lead = None
+            self._leader.stop()
         if response is Response.GIVE_UP:
             return CarCommand(np.zeros(2), gave_up(at.lost) if at.lost else f"gave up: {why}")
         if response is Response.BACK_UP and (back := self._trail.back()) is not None:
@@ -210,18 +208,10 @@ class SlamCarAgent:
             return CarCommand(creeping(self._known_free(), at.planar, self._car), f"{response.value}: {why}")
         if response is not Response.DRIVE or aim is None:
             return self._brake(f"brakes: {why}")
-        if self._to_lead:
-            route, self._to_lead = self._critic.lead(at.planar), False
-            self._lead = None if route is None else Lead(route, self._car)
-        if self._lead is not None:
-            command, plan = self._lead.step(at.planar), self._own.plan()
-            if command is not None and not leads_into(
-                plan.cells == OCCUPIED, plan.origin, plan.resolution, at.planar, command, self._car, LED_REACH
-            ):
-                self._mpc.begin(command)
-                return CarCommand(command, "is led along its route")
-            self._lead = None
         self._progress.drove()
+        if (led := self._leader.step(at.planar, self._own.plan(), self._critic.lead)) is not None:
+            self._mpc.begin(led)
+            return CarCommand(led, "is led along its route")
         step = self._mpc.step(at.planar, aim, self._critic.clearance())
         if self._critic.careful(at.planar, step.control):
             step = replace(step, control=np.clip(step.control, [-CREEP_SPEED, -np.inf], [CREEP_SPEED, np.inf]))

@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
+from vssm_gym.geometry.transforms import wrap_angle
+
 
 def turn_of(length: float | np.ndarray, steering: float | np.ndarray, wheelbase: float) -> np.ndarray:
     """Return turns ``s tan(steering) / wheelbase`` (rad, left positive) of arcs of signed length ``s`` (m)."""
@@ -37,6 +39,16 @@ def poses_after(
     return np.stack(
         np.broadcast_arrays(x + chord * np.cos(direction), y + chord * np.sin(direction), heading + turn), axis=-1
     )
+
+
+def arc_between(start: np.ndarray, end: np.ndarray, wheelbase: float) -> tuple[float, float]:
+    """Return the arc that joins two poses ``(3,)``: its signed length (m) and steering (rad); inverts poses_after."""
+    turn = float(wrap_angle(end[2] - start[2]))
+    direction = start[2] + 0.5 * turn
+    chord = math.cos(direction) * (end[0] - start[0]) + math.sin(direction) * (end[1] - start[1])
+    # The sign is that of the way along the mean heading; two poses of a car need not lie on one arc exactly.
+    length = float(np.copysign(np.hypot(*(end[:2] - start[:2])) / np.sinc(0.5 * turn / np.pi), chord))
+    return length, float(np.arctan(wheelbase * turn / length))
 
 
 @njit(cache=True, nogil=True)

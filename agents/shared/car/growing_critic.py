@@ -188,14 +188,15 @@ class GrowingCritic:
         turn = turn_of(length, np.tile(steering, len(shares)), self._car.wheelbase)
         ends: Any = poses_after(planar[2], length, turn, planar[0], planar[1])
         kept_off = (self._plan[0] == OCCUPIED) | (self._unseen & ~self._dared)
-        meets = lambda pose, margin: np.count_nonzero(self._under(kept_off, pose, margin))
-        here, crowded = meets(planar, 0.0), meets(planar, SEEN_MARGIN)
+        met = lambda pose, margin: self._set_under(kept_off, pose, margin)
+        here, crowded = met(planar, 0.0), len(met(planar, SEEN_MARGIN))
         costs = np.asarray(followed.at(ends))
-        costs = np.where(costs < followed.never, costs, [followed.never + meets(pose, SEEN_MARGIN) for pose in ends])
+        room = [followed.never + len(met(pose, SEEN_MARGIN)) for pose in ends]
+        costs = np.where(costs < followed.never, costs, room)
         for k in np.argsort(costs):
             if costs[k] >= followed.never + crowded:
                 return None
-            if all(meets(pose, 0.0) <= here for pose in between(np.stack([planar, ends[k]]))):
+            if all(met(pose, 0.0) <= here for pose in between(np.stack([planar, ends[k]]))):
                 return np.stack([planar, ends[k]])
         return None
 
@@ -310,11 +311,11 @@ class GrowingCritic:
             self._until = after + DRIVEN_REST * (before - after)
         self._near = self._around(route, nothing)
 
-    def _under(self, cells: np.ndarray, planar: np.ndarray, margin: float) -> np.ndarray:
-        """Return the values of the cells under the footprint at a pose, ``margin`` (m) wider all around."""
+    def _set_under(self, cells: np.ndarray, planar: np.ndarray, margin: float) -> set[tuple[int, ...]]:
+        """Return which of the set cells lie under the footprint at a pose, ``margin`` (m) wider all around."""
         under = footprint_cells(self._corner, self._resolution, planar, self._car, margin)
         under = under[np.all((under >= 0) & (under < cells.shape), axis=1)]
-        return cells[tuple(under.T)]
+        return {tuple(cell) for cell in under[cells[tuple(under.T)]].tolist()}
 
     def _sight(self, unseen: np.ndarray) -> Sight:
         """Return what is seen from where on the newest plan, some of whose cells are unseen."""

@@ -9,8 +9,7 @@ from enum import Enum
 
 import numpy as np
 
-from vssm_gym.agents.shared.car.lead import arc_between
-from vssm_gym.geometry.arc import poses_after, turn_of
+from vssm_gym.geometry.arc import arc_between, poses_after, turn_of
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena, collides, overlaps
 
@@ -130,7 +129,8 @@ class Trail:
         if chord < LEAST:
             return
         if chord <= JUMP:  # or it is one of the estimate
-            length, steering = arc_between(self._last, planar, self._car)
+            length, steering = arc_between(self._last, planar, self._car.wheelbase)
+            steering = float(np.clip(steering, -self._car.max_steering, self._car.max_steering))
             count = int(np.ceil(abs(length) / (BACK_SPEED * self._car.dt) - 1e-6))
             self._arcs = [*self._arcs, *[(length / count, steering)] * count][-REMEMBERED:]
         self.begin(planar)

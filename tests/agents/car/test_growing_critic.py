@@ -279,7 +279,23 @@ def test_where_no_motion_is_free_a_short_arc_leads_to_the_best_pose():
     critic._dare(np.zeros((0, 2), int))
     route = critic.lead(FACING)
     assert len(route) == 2 and 0.0 < FACING[0] - route[1][0] < 0.1
-    assert critic.value.reachable(route[1]) and not critic._under(critic._unseen, route[1], 0.0).any()
+    assert critic.value.reachable(route[1]) and not critic._set_under(critic._unseen, route[1], 0.0)
+
+
+def test_a_short_arc_meets_no_other_cells_than_the_car_does_where_it_stands():
+    """Three cells under its rear are an error of the map; three ahead of it, where it costs less, it may not trade."""
+    critic = in_a_corner((0.9, 2.2, 0.2, 1.0))
+    values = np.asarray(critic._followed.values)
+    cheaper_ahead = np.broadcast_to(90.0 - np.arange(len(values))[:, None, None], values.shape).astype(np.float32)
+    followed = replace(critic._followed, values=cheaper_ahead)
+    assert critic._way_out(followed, FACING)[1][0] > FACING[0] + 0.1
+    cells, met = critic._plan[0], lambda pose: critic._set_under(critic._plan[0] == OCCUPIED, pose, 0.0)
+    for y in (0.55, 0.6, 0.65):
+        for x in (1.15, 1.6):
+            cells[tuple(np.round((np.array([x, y]) - critic._corner) / CELL).astype(int))] = OCCUPIED
+    assert len(met(FACING)) == 3
+    end = critic._way_out(followed, FACING)[1]
+    assert met(end) <= met(FACING) and end[0] < FACING[0] + 0.05
 
 
 def test_it_does_not_dare_where_everything_was_seen():
