@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import UInt8
 
@@ -31,7 +32,7 @@ from vssm_gym.eval.video.navigator_recording import Recording
 from vssm_gym.eval.video.run_files import PICTURE, VIDEO, write_map, write_picture, write_row
 from vssm_gym.files.output_folders import Owner, check_at_least, owned_folder
 from vssm_gym.files.shipped import MAPS, or_shipped, shipped
-from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 
@@ -39,6 +40,7 @@ POINTNAV, IMAGENAV = "vssm_gym/PointNav-v0", "vssm_gym/ImageNav-v0"
 MANIFEST = "navigate.json"
 IDENTITY = ("config_hash", "start", "goal", "steps", "map_hash")  # of a run; fields of the manifest
 COMMAND = "navigate"  # source of errors about the arguments
+START_HEIGHT = 0.3  # m, of the robot's body, at which the map has to show the start as free
 START_TASKS = 2  # test tasks of a scene, whose starts and goals serve where none is given
 
 
@@ -80,6 +82,7 @@ class Prepared:
     voxel_map: VoxelMap | None
     image: np.ndarray | None
     manifest: dict[str, Any]
+    notice: str | None  # what the user should know before the run
 
 
 def prepare(drive: Drive) -> Prepared:
@@ -121,7 +124,8 @@ def prepare(drive: Drive) -> Prepared:
         "version": package_version(),
     }
     voxel_map = None if map_file is None else VoxelMap.load(map_file)
-    return Prepared(drive, episode, task, content, voxel_map, image, manifest)
+    notice = None if voxel_map is None else map_notice(voxel_map, task.start)
+    return Prepared(drive, episode, task, content, voxel_map, image, manifest, notice)
 
 
 def navigate(
@@ -173,6 +177,16 @@ def _map_file(drive: Drive, needed: bool) -> Path | None:
     if not needed and drive.map is not None:
         raise InputError(COMMAND, "map", f"none with {drive.agent}, an agent that is given no map; found {drive.map}")
     return None if drive.map is None else shipped(drive.map, MAPS)
+
+
+def map_notice(voxel_map: VoxelMap, start: tuple[float, float, float]) -> str | None:
+    """Return what to say of a map that does not show the start as free; None of others."""
+    p = jnp.array([*start[:2], START_HEIGHT], jnp.float32)
+    seen = float(voxel_map.precision(p)[0]) > OBSERVED_PRECISION
+    if seen and float(voxel_map.occupancy_at(p)) < 0.0:
+        return None
+    what = "an obstacle" if seen else "nothing"
+    return f"the map shows {what} at the start ({start[0]:.2f}, {start[1]:.2f}): is it a map of this scene?"
 
 
 def _task(drive: Drive, apartment: Apartment) -> Task:

@@ -297,3 +297,12 @@ def test_the_demo_shows_one_run_once_and_does_without_a_video(tmp_path, monkeypa
         assert {path.name for path in files} == FILES - {"run.mp4"}
     demo_module.show_run(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "navigate").iterdir()} == files
+
+
+@pytest.mark.parametrize(
+    ("scene", "goal", "said"), [("elm", (3.0, 3.0), "is it a map of this scene?"), ("oak", (2.36, 5.36), None)]
+)
+def test_a_map_of_another_scene_is_noticed(scene, goal, said):
+    """The robot would look for itself in it for 65 steps, and its user for the reason for longer."""
+    notice = navigator_run.prepare(navigator_run.Drive(scene, goal, "astar", map=Path("oak"))).notice
+    assert notice is None if said is None else said in notice

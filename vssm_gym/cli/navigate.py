@@ -81,6 +81,8 @@ def navigate(
     check_writer("navigate")
     prepared = prepare(drive)
     print_notices([scene])
+    if prepared.notice:
+        say(f"warning: {prepared.notice}", error=True)
     with progress_bars() as progress:
         row = run(prepared, out, on_progress=progress)
     say(summary(row))
