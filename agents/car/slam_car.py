@@ -20,15 +20,7 @@ from vssm_gym.agents.shared.car.growing_critic import GrowingConfig, GrowingCrit
 from vssm_gym.agents.shared.car.lead import Leader
 from vssm_gym.agents.shared.car.parking import Parking, ParkingRule, braking
 from vssm_gym.agents.shared.car.progress import Progress, Stuck, StuckConfig
-from vssm_gym.agents.shared.car.recovery import (
-    CREEP_SPEED,
-    Failure,
-    Recovery,
-    Response,
-    Trail,
-    creeping,
-    leads_into,
-)
+from vssm_gym.agents.shared.car.recovery import CREEP_SPEED, Failure, Recovery, Response, Trail, creeping, leads_into
 from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.agents.shared.mapping import MapAndPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from pydantic import Field
 
 from vssm_gym.envs.validation import StrictModel
@@ -154,11 +155,15 @@ def _picture(rows: Mapping[str, Mapping[str, Any]]) -> bytes:
         axes.hlines(heights, before, after, color="0.75", linewidth=1.5)
         axes.plot(before, heights, "o", color="C7", markersize=5, label="filter")
         axes.plot(after, heights, "o", color="C0", markersize=5, label="smoother")
-        axes.set_xscale("log")
+        axes.set(xscale="log", ylim=(-0.5, len(names) - 0.5))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         tidy(axes)
     left.set(yticks=heights, xlabel="ATE, cm")
     left.set_yticklabels([pictures.tick_name(name) for name in names], fontsize=8)
     right.axvline(1.0, color="0.3", linestyle="--", linewidth=1.0)
     right.set(xlabel="NEES / dim")
-    left.legend(fontsize=8, frameon=False)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=8, frameon=False)
     return pictures.svg(figure)
