@@ -49,7 +49,8 @@ $(STAMP): constraints.txt pyproject.toml
 	@extras=dev,rl,dynamics; \
 	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then extras=$$extras,bullet; \
 	else echo "no PyBullet: it has a wheel for Python 3.11 only; physics=\"bullet\" and its tests need it"; fi; \
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt -e ".[$$extras]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt \
+	  --config-settings editable_mode=compat -e ".[$$extras]"  # found before a folder vssm_gym of the working directory
 	@touch $@
 
 demo: $(STAMP)

@@ -41,7 +41,7 @@ from vssm_gym.agents.navigation.slam_nav_ablations import (
 from vssm_gym.agents.policy.agent import PolicyAgent
 from vssm_gym.agents.policy.policy_file import PREFIX
 from vssm_gym.agents.renamed import refuse_former
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.planning.planners import find_planner
 
 AGENTS: dict[str, type[Agent]] = {
@@ -102,7 +102,7 @@ def agent_type(name: str) -> type[Agent]:
         find_planner(planner)
     refuse_former(base, "agent", "name")
     if base not in AGENTS:
-        raise InputError("agent", "name", f"one of {', '.join(AGENTS)}; found {base!r}")
+        raise InputError("agent", "name", one_of(AGENTS, base))
     return AGENTS[base]
 
 

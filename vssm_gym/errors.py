@@ -1,6 +1,8 @@
 """Define the two errors that the command line prints as one line: invalid input, and output that cannot be written."""
 
+import difflib
 import re
+from collections.abc import Iterable
 
 LONGEST_VALUE = 200  # characters of a quoted name or value
 LONGEST_MESSAGE = 2000  # characters of each of the three parts of a message
@@ -35,6 +37,18 @@ class OutputError(OSError):
     def __reduce__(self) -> tuple[type["OutputError"], tuple[str, str]]:
         """Pickle by the two arguments, not by the message made of them, for errors of worker processes."""
         return type(self), (self.path, self.reason)
+
+
+def one_of(available: Iterable[str], found: object) -> str:
+    """Return what was expected of a name: "one of oak, elm; found 'oka' (did you mean 'oak'?)"."""
+    available = tuple(available)
+    return f"one of {', '.join(available)}; found {found!r:.80}{did_you_mean(available, found)}"
+
+
+def did_you_mean(available: Iterable[str], found: object) -> str:
+    """Return " (did you mean 'oak'?)" where one of the names is much like what was found, else nothing."""
+    alike = difflib.get_close_matches(str(found)[:LONGEST_VALUE], available, n=1)
+    return f" (did you mean {alike[0]!r}?)" if alike else ""
 
 
 def _printable(text: str) -> str:

@@ -28,15 +28,16 @@ class SlamNavAgent:
     needs_map = False
 
     def __init__(self, config: NavigationConfig = CONFIG) -> None:
-        self._navigator = Navigator(GrowingMap(MapAndPose()), config)
+        self._surroundings = GrowingMap(MapAndPose())
+        self._navigator = Navigator(self._surroundings, config)
         self.reset, self.act = self._navigator.reset, self._navigator.act
 
     @property
     def map(self) -> VoxelMap:
         """Return the belief over the apartment, world frame; it is valid until the next step."""
-        return self._navigator.surroundings.map
+        return self._surroundings.map
 
     @property
-    def plan(self) -> FloorPlan | None:
-        """Return the floor plan that the last path was planned in; None before the first."""
-        return None if self._navigator.terrain is None else self._navigator.terrain.plan
+    def plan(self) -> FloorPlan:
+        """Return the floor plan of the present belief."""
+        return self._surroundings.floor_plan()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.manifest import LISTS, MANIFEST, read_manifest
 from vssm_gym.eval.episodes.row import DEFAULTS, identified
@@ -62,7 +62,7 @@ def _environment(manifest: dict[str, Any], folder: Path) -> str:
     envs = manifest["config"].get("env")
     envs = envs if isinstance(envs, list) and envs else [None]
     if not isinstance(envs[0], str) or envs[0] not in SWEPT_ENVIRONMENTS:
-        expected = f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {envs[0]!r:.80}"
+        expected = one_of(SWEPT_ENVIRONMENTS, envs[0])
         raise InputError(folder / MANIFEST, "config.env", expected)
     return envs[0]
 

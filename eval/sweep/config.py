@@ -3,8 +3,9 @@
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -15,13 +16,14 @@ from vssm_gym.agents.policy.policy_file import agent_label, policy_at
 from vssm_gym.agents.renamed import refuse_former
 from vssm_gym.envs.scenes.generator import PREFIX, parse_spec
 from vssm_gym.envs.scenes.specs import scene_file, scene_name
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, did_you_mean, one_of
 from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.files.bounded import is_file
 from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, first_problem, read_yaml
 
 CONDITIONS = ("robot", "noise", "sensor_noise", "renderer", "physics", "direction_frame")
+OF_ONE = {"scenes": "scene", "agents": "agent"}  # arguments of commands that take one of them
 MOST_TASKS = 100_000  # of a scene
 MOST_EPISODES = 1_000_000  # of a sweep; a thousand hours of them
 _RANGE = re.compile(r"\s*([0-9]{1,9})\s*-\s*([0-9]{1,9})\s*")
@@ -132,7 +134,7 @@ def check_environments(config: SweepConfig, source: object) -> None:
     """Raise :class:`InputError` unless the environments have protocols and share one robot and one task."""
     for env in config.env:
         if env not in SWEPT_ENVIRONMENTS:
-            raise InputError(source, "env", f"one of {', '.join(SWEPT_ENVIRONMENTS)}; found {env!r}")
+            raise InputError(source, "env", one_of(SWEPT_ENVIRONMENTS, env))
     robots = tuple(dict.fromkeys(SWEPT_ENVIRONMENTS[env].robot for env in config.env))
     if len(robots) > 1:
         raise InputError(source, "env", f"environments of one robot; found {' and '.join(robots)}")
@@ -142,14 +144,24 @@ def check_environments(config: SweepConfig, source: object) -> None:
         raise InputError(source, "explore", f"no such field with {config.env[0]}: only explorers have it")
 
 
-def check_names(config: SweepConfig, source: object) -> None:
-    """Raise :class:`InputError` with the available names for the first unknown name."""
+def check_names(config: SweepConfig, source: object, arguments: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Raise :class:`InputError` with the available names for the first unknown name.
+
+    Args:
+        config: what is checked.
+        source: file or command that the error names.
+        arguments: names that a command has for fields.
+    """
     # Imported here: the agents bring JAX along, and a worker must set up its threads before JAX starts.
     from vssm_gym.agents.registry import AGENTS, WITH, agent_type
 
     check_environments(config, source)
+
+    def named(field: str) -> str:
+        return arguments.get(field, field)
+
     for name in config.agents:
-        refuse_former(name, source, "agents")
+        refuse_former(name, source, named("agents"))
     spec, protocol = SWEPT_ENVIRONMENTS[config.env[0]], protocol_of(config.env[0])
     policies = [name for name in config.agents if name.startswith(POLICY)]
     planned = [name for name in config.agents if name.partition(WITH)[0] in AGENTS and name not in AGENTS]
@@ -158,7 +170,7 @@ def check_names(config: SweepConfig, source: object) -> None:
         name for name, agent in types.items() if agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK)
     )
     if len({agent_label(name) for name in config.agents}) < len(config.agents):
-        raise InputError(source, "agents", "policies that differ from each other; two of these are the same")
+        raise InputError(source, named("agents"), "policies that differ from each other; two of these are the same")
     known: dict[str, Sequence[str]] = {
         "agents": able,
         "robot": (spec.robot,),
@@ -169,16 +181,16 @@ def check_names(config: SweepConfig, source: object) -> None:
         for name in getattr(config, field):
             if name not in available:
                 unfit = _unfit(name, env=config.env[0]) if field == "agents" else ""
-                raise InputError(source, field, f"one of {', '.join(available)}; found {name!r}{unfit}")
+                raise InputError(source, named(field), f"{one_of(available, name)}{unfit}")
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
-        raise InputError(source, "scenes", "scenes whose file names differ: maps and rows are named after them")
+        raise InputError(source, named("scenes"), "scenes whose file names differ: maps and rows are named after them")
     names = protocol.scene_names()
     for scene in config.scenes:
         if scene.startswith(PREFIX):
             parse_spec(scene)
         elif scene not in names and not is_file(scene_file(scene)):
             expected = f"a built-in scene ({', '.join(names)}), {PREFIX}SEED or an existing file; found {scene!r}"
-            raise InputError(source, "scenes", expected)
+            raise InputError(source, named("scenes"), f"{expected}{did_you_mean(names, scene)}")
 
 
 def _unfit(name: str, env: str) -> str:

@@ -72,7 +72,7 @@ def run_sweep(
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
         map_file: a map for the agents of a configuration of one scene, which is copied; None: maps are learned.
-        on_progress: called with ("recording" | "map" | "episodes", done, total).
+        on_progress: called with ("recording" | "map" | "episodes" | "ending", done, total).
 
     Returns:
         The file ``out/episodes.jsonl``.
@@ -290,9 +290,11 @@ def _run(
             for future in as_completed([submit(job) for job in jobs if job not in first]):
                 keep(future)
         except KeyboardInterrupt:
-            pool.shutdown(wait=True, cancel_futures=True)
-            for future in list(futures):
-                if not future.cancelled() and future.exception() is None:
+            running = [future for future in futures if not future.cancel()]
+            for done, future in enumerate(running):
+                if on_progress:
+                    on_progress("ending", done, len(running))
+                if future.exception() is None:
                     keep(future)
             raise
         except BrokenProcessPool as error:

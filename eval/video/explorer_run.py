@@ -72,7 +72,7 @@ def _explore(
         explore_protocol.write_tasks(apartment, episode.task + 1, task_file)
         result = explore_protocol.run(episode, agent, task_file, None, see)
     if on_progress:
-        on_progress("exploring", limit, limit)
+        on_progress("exploring", result["steps"], result["steps"])
     content, version = apartment.content_hash(), package_version()
     signature = {"version": version, "config_hash": hashed, "map_hash": None}
     row = episode.identity(content) | signature | result

@@ -22,7 +22,7 @@ from vssm_gym.eval.episodes.identity import Episode, episode_seed, scene_name
 from vssm_gym.eval.protocols.episode import StepRecord, run_episode
 from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.eval.protocols.shared import sampler_of, world
-from vssm_gym.eval.sweep.config import SweepConfig, check_names, expand
+from vssm_gym.eval.sweep.config import MOST_TASKS, OF_ONE, SweepConfig, check_names, expand
 from vssm_gym.eval.sweep.runner import config_hash, scene_map_hash
 from vssm_gym.eval.video import navigator_pictures
 from vssm_gym.eval.video.ending import Ending
@@ -41,7 +41,6 @@ MANIFEST = "navigate.json"
 IDENTITY = ("config_hash", "start", "goal", "steps", "map_hash")  # of a run; fields of the manifest
 COMMAND = "navigate"  # source of errors about the arguments
 START_HEIGHT = 0.3  # m, of the robot's body, at which the map has to show the start as free
-START_TASKS = 2  # test tasks of a scene, whose starts and goals serve where none is given
 
 
 @dataclass(frozen=True)
@@ -50,18 +49,19 @@ class Drive:
 
     Attributes:
         scene: built-in name, ``procedural:SEED`` or path of a scene file.
-        goal: x, y (m) of the goal, or the file of an image that was taken there.
+        goal: x, y (m) of the goal, or the file of an image that was taken there; None: that of ``task``.
         agent: a name of the registry, of the task ``pointgoal`` or ``imagegoal``, or an agent that reads no goal.
-        start: x, y (m), heading (rad); None: the start of the scene's first test task.
+        start: x, y (m), heading (rad); None: that of ``task``.
         map: file or name of the map that the agent is given; None for an agent that needs none.
         noise: of execution.
         sensor_noise: of the camera.
         seed: of the noise and of the agent.
         steps: time limit.
+        task: number of the scene's test task that has what is not given.
     """
 
     scene: str
-    goal: tuple[float, float] | Path
+    goal: tuple[float, float] | Path | None
     agent: str
     start: tuple[float, float, float] | None = None
     map: Path | None = None
@@ -69,6 +69,7 @@ class Drive:
     sensor_noise: str = "none"
     seed: int = 0
     steps: int = 500
+    task: int = 0
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,9 @@ def prepare(drive: Drive) -> Prepared:
     """
     check_at_least(COMMAND, "seed", drive.seed, 0)
     check_at_least(COMMAND, "steps", drive.steps, 1)
+    check_at_least(COMMAND, "task", drive.task, 0)
+    if drive.task >= MOST_TASKS:
+        raise InputError(COMMAND, "task", f"less than {MOST_TASKS:,}; found {drive.task}")
     kind = AGENTS.get(drive.agent.partition(WITH)[0])  # an unknown one is named by the check below
     by_image = isinstance(drive.goal, Path) or (kind is not None and kind.task == "imagegoal")
     config = SweepConfig(
@@ -105,7 +109,7 @@ def prepare(drive: Drive) -> Prepared:
         tasks=(0,),
         seeds=(drive.seed,),
     )
-    check_names(config, COMMAND)
+    check_names(config, COMMAND, OF_ONE)
     map_file = _map_file(drive, agent_type(drive.agent).needs_map)
     map_hash = None if map_file is None else scene_map_hash(map_file)
     image = _image(drive.goal) if isinstance(drive.goal, Path) else None
@@ -192,12 +196,15 @@ def map_notice(voxel_map: VoxelMap, start: tuple[float, float, float]) -> str | 
 def _task(drive: Drive, apartment: Apartment) -> Task:
     """Return the task; one with an image for its goal has the goal of a test task as a stand-in."""
     sampler = sampler_of(drive.scene)
-    known = task_set(apartment, HolonomicRobot(), "test", START_TASKS).tasks
+    known = task_set(apartment, HolonomicRobot(), "test", drive.task + 2).tasks[-2:]
     start = known[0].start if drive.start is None else drive.start
     if isinstance(drive.goal, Path):  # of two goals that far apart, a start is at one at most
         tasks = [sampler.task(start, task.goal) for task in known]
         return max(tasks, key=lambda task: task.geodesic)
-    task = sampler.task(start, drive.goal)
+    try:
+        task = sampler.task(start, known[0].goal if drive.goal is None else drive.goal)
+    except InputError as error:
+        raise InputError(COMMAND, error.field, error.expected) from None
     if task.geodesic <= 0.0:
         x, y, _ = task.start
         raise InputError(COMMAND, "goal", f"a place that is not reached already at the start ({x:.2f}, {y:.2f})")
@@ -227,7 +234,7 @@ def _navigate(prepared: Prepared, out: Path, video: bool, on_progress: OnProgres
         spectator=see,
     )
     if on_progress:
-        on_progress("navigating", drive.steps, drive.steps)
+        on_progress("navigating", result["steps"], result["steps"])
     signature = {name: prepared.manifest[name] for name in ("version", "config_hash", "map_hash")}
     row = episode.identity(prepared.scene_hash) | signature | (result if image is None else unjudged(result))
     own = map_of(agent)

@@ -46,7 +46,6 @@ def test_a_robot_arrives_in_an_apartment_that_nobody_has_mapped(learned):
     assert ended.driven < 1.3 * shortest
     assert agent.map.table is not None
     plan = agent.plan
-    assert plan is not None
     assert {FREE, OCCUPIED, UNKNOWN} <= set(np.unique(plan.cells).tolist())
     assert plan.state(np.array([2.5, 1.0])) == OCCUPIED  # the wall, which it has driven around
 

@@ -1,6 +1,7 @@
 """Test the command line: fast help, one line for bad input, and the commands that are quick enough to run here."""
 
 import errno
+import importlib.metadata
 import json
 import pickle
 import re
@@ -330,14 +331,15 @@ def test_doctor_knows_every_extra():
         assert sorted(map(name, doctor_module.requirements(one))) == sorted(map(name, packages)), one
 
 
-def test_doctor_says_how_to_get_an_absent_extra(monkeypatch):
-    monkeypatch.setattr(
-        doctor_module.importlib.metadata, "requires", lambda _: ["numpy>=2", 'no-such-thing>=1; extra == "rl"']
-    )
+@pytest.mark.parametrize(("also", "state"), [("", "absent"), ("numpy", "partly")])
+def test_doctor_says_how_to_get_an_absent_extra(monkeypatch, also, state):
+    declared = ["numpy>=2", *(f'{name}>=1; extra == "rl"' for name in filter(None, (also, "no-such-thing")))]
+    monkeypatch.setattr(doctor_module.importlib.metadata, "requires", lambda _: declared)
     finding = doctor_module.extra("rl")
-    assert not finding.ok and not finding.required
+    assert (finding.ok, finding.required, finding.state) == (False, False, state)
+    installed = f"{also} {importlib.metadata.version(also)}; " if also else ""
     assert (finding.detail, finding.remedy) == (
-        "not installed: no-such-thing",
+        f"{installed}not installed: no-such-thing",
         'pip install -c constraints.txt ".[rl]" in the checkout',
     )
 

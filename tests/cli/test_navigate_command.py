@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -146,6 +147,16 @@ def test_the_row_is_that_of_a_sweep_of_the_task(rooms, tmp_path):
         navigator_run.navigate(navigator_run.prepare(drive), tmp_path / "run", video=False)
 
 
+def test_a_test_task_gives_start_and_goal_where_none_is_given(rooms):
+    tasks = task_set(load_scene(str(rooms)), HolonomicRobot(), "test", 4).tasks
+    for number, task in enumerate(tasks):
+        drive = navigator_run.Drive(str(rooms), None, "random", task=number)
+        prepared = navigator_run.prepare(drive)
+        assert (prepared.task.start, prepared.task.goal) == (task.start, task.goal)
+        goal = tasks[0].goal if number else tasks[1].goal
+        assert navigator_run.prepare(replace(drive, goal=goal)).task.start == task.start
+
+
 @pytest.mark.parametrize("ending", ["png", "jpg"])
 def test_an_image_is_a_goal_of_which_nothing_is_judged(rooms, tmp_path, monkeypatch, ending):
     """The agent sees the given image, whatever the stand-in's goal shows, and the row claims nothing about the goal."""
@@ -191,6 +202,7 @@ def test_an_agent_with_an_image_for_its_goal_is_judged_where_the_place_is_given(
         (("--goal", __file__), "slam_image"),
         (("--goal", "5,2", "--map", "oak", "--agent", "oracle"), "oracle"),
         (("--goal", "-5.5,-2", "--start", "-1,-2"), "slam_nav"),  # no options, though they begin so
+        (("--task", "3"), "slam_nav"),
     ],
 )
 def test_the_agent_follows_from_map_and_goal(vssm, tmp_path, monkeypatch, options, agent):
@@ -207,20 +219,30 @@ def test_the_agent_follows_from_map_and_goal(vssm, tmp_path, monkeypatch, option
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--agent", "nobody"), "navigate: agents: expected one of astar, "),
+        (("--agent", "nobody"), "navigate: agent: expected one of astar, "),
         (("--agent", "mi_explorer"), "found 'mi_explorer', whose robot is 'holonomic' and whose task is 'explore'"),
         (("--agent", "astar+nothing", "--map", "oak"), "nothing"),
         (("--agent", "astar"), "navigate: map: expected a map of `vssm-gym map build`, or one that comes with"),
         (("--map", "oak"), "navigate: map: expected none with random, an agent that is given no map; found oak"),
         (("--agent", "astar", "--map", "nowhere.npz"), "nowhere.npz: file: expected an existing map file"),
-        (("--scene", "nowhere"), "navigate: scenes: expected a built-in scene"),
+        (("--scene", "nowhere"), "navigate: scene: expected a built-in scene"),
+        (("--scene", "oka"), "found 'oka' (did you mean 'oak'?)"),
         (("--noise", "loud"), "navigate: noise: expected one of none, low, "),
         (("--sensor-noise", "loud"), "navigate: sensor_noise: expected one of none, "),
         (("--steps", "0"), "navigate: steps: expected at least 1, found 0"),
         (("--seed", "-1"), "navigate: seed: expected at least 0, found -1"),
-        (("--goal", "5"), "navigate: goal: expected numbers x,y in metres, or the file of an image, not '5'"),
+        (
+            ("--goal", "5"),
+            "navigate: goal: expected numbers x,y in metres, or the file of an image; there is no file '5'",
+        ),
         (("--goal", "5,2,0"), "navigate: goal: expected numbers x,y"),
-        (("--goal", "no/picture.png"), "navigate: goal: expected numbers x,y"),
+        (("--goal", "no/picture.png"), "there is no file 'no/picture.png'"),
+        (
+            ("--goal", "90,90"),
+            "navigate: goal: expected a position where the robot fits; at (90.00, 90.00) that is off",
+        ),
+        (("--task", "-1"), "navigate: task: expected at least 0, found -1"),
+        (("--task", "100000"), "navigate: task: expected less than 100,000; found 100000"),
         (("--goal", "1,2.3"), "navigate: goal: expected a place that is not reached already at the start"),
         (("--goal", "3,3"), "goal: expected a position where the robot fits; at (3.00, 3.00) it would collide with"),
         (("--goal", "nan,2"), "goal[0]: expected a finite number"),

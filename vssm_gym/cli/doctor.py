@@ -33,6 +33,12 @@ class Finding:
     detail: str
     remedy: str
     required: bool
+    partly: bool = False  # some of it is there
+
+    @property
+    def state(self) -> str:
+        """Return the word of the table."""
+        return "ok" if self.ok else "missing" if self.required else "partly" if self.partly else "absent"
 
 
 JAX = """
@@ -108,9 +114,8 @@ def doctor() -> int:
 
     table = Table(show_header=False, box=None, pad_edge=False)
     for finding in findings:
-        state = "ok" if finding.ok else "missing" if finding.required else "absent"
-        colour = {"ok": "green", "missing": "red", "absent": "yellow"}[state]
-        table.add_row(Text(state, style=colour), finding.name, finding.detail)
+        colour = {"ok": "green", "missing": "red"}.get(finding.state, "yellow")
+        table.add_row(Text(finding.state, style=colour), finding.name, finding.detail)
         if not finding.ok:
             table.add_row("", "", f"-> {finding.remedy}")
     literal_console().print(table)
@@ -162,6 +167,7 @@ def extra(name: str) -> Finding:
         detail.removesuffix("; "),
         f'pip install -c constraints.txt ".[{name}]" in the checkout',
         False,
+        partly=bool(versions),
     )
 
 

@@ -39,7 +39,7 @@ def explore(
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.errors import InputError
     from vssm_gym.eval.episodes.identity import ExploreSettings
-    from vssm_gym.eval.sweep.config import SweepConfig, check_names
+    from vssm_gym.eval.sweep.config import OF_ONE, SweepConfig, check_names
     from vssm_gym.eval.video.explorer_run import explore as run
     from vssm_gym.eval.video.writer import check_writer
     from vssm_gym.files.output_folders import check_at_least, check_folder
@@ -57,7 +57,7 @@ def explore(
         seeds=(seed,),
         explore=ExploreSettings(steps=steps),
     )
-    check_names(config, "explore")
+    check_names(config, "explore", OF_ONE)
     check_folder(out)
     check_writer("explore")
     print_notices([scene])

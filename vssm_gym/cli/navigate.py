@@ -20,8 +20,8 @@ GOAL, START = "numbers x,y in metres, or the file of an image", "numbers x,y or 
 @interruptible(*FILES)
 def navigate(
     scene: str,
-    goal: str,
     out: Path,
+    goal: str | None = None,
     map: Path | None = None,
     agent: str | None = None,
     start: str | None = None,
@@ -29,6 +29,7 @@ def navigate(
     sensor_noise: str = "none",
     steps: int = 500,
     seed: int = 0,
+    task: int = 0,
 ) -> None:
     """Drive one navigation task, in a given map or in an unknown scene, and show the run.
 
@@ -38,18 +39,19 @@ def navigate(
 
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
-        goal: x,y in metres, or the file of an image (PNG or JPEG, 160x120 pixels) that the robot's camera took there:
-            where that is, nobody knows, so success is not judged.
         out: new or empty folder. Map, row and picture are there when the run has ended, the video somewhat later.
+        goal: x,y in metres, or the file of an image (PNG or JPEG, 160x120 pixels) that the robot's camera took there:
+            where that is, nobody knows, so success is not judged; by default the goal of a test task.
         map: file of `vssm-gym map build`, or the name of a map that comes with the package (oak), for an agent that
             needs one.
         agent: a navigation agent; by default astar with a map, slam_nav without one; to an image astar_image
             with a map, slam_image without one.
-        start: x,y or x,y,heading in metres and radians; by default the start of the scene's first test task.
-        noise: execution noise: none, low, mid or high.
+        start: x,y or x,y,heading in metres and radians; by default the start of a test task.
+        noise: execution noise: none, low, mid, high or locobot.
         sensor_noise: noise of the camera: none, kinect or stereo.
         steps: time limit in steps of 0.2 s.
         seed: seed of the noise and of the agent.
+        task: number of the scene's test task whose start and goal are taken where none is given.
     """
     from vssm_gym.cli.shared.arguments import parse_numbers
     from vssm_gym.cli.shared.console import print_notices
@@ -60,7 +62,7 @@ def navigate(
     from vssm_gym.eval.video.writer import check_writer
     from vssm_gym.files.output_folders import check_folder
 
-    to, at = parse_goal(goal), None
+    to, at = None if goal is None else parse_goal(goal), None
     if start is not None:
         at = parse_numbers("navigate", "start", start, float, START)
         if len(at) not in (2, 3):
@@ -76,6 +78,7 @@ def navigate(
         sensor_noise=sensor_noise,
         seed=seed,
         steps=steps,
+        task=task,
     )
     check_folder(out)
     check_writer("navigate")
@@ -99,6 +102,8 @@ def parse_goal(text: str) -> tuple[float, float] | Path:
 
     if is_file(text):
         return Path(text)
+    if "," not in text:
+        raise InputError("navigate", "goal", f"{GOAL}; there is no file {text!r}")
     numbers = parse_numbers("navigate", "goal", text, float, GOAL)
     if len(numbers) != 2:
         raise InputError("navigate", "goal", f"{GOAL}, not {text!r}")

@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, did_you_mean
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -44,7 +44,9 @@ def validated(model: type[Model], data: Any, source: object, at: str = "") -> Mo
 def choose(source: str, field: str, value: Any, available: tuple[Any, ...]) -> None:
     """Raise `InputError` naming ``source`` and ``field`` unless ``value`` is one of ``available``."""
     if not any(value is one or (isinstance(value, str) and value == one) for one in available):
-        raise InputError(source, field, f"one of {', '.join(map(repr, available))}; found {value!r:.80}")
+        names = [one for one in available if isinstance(one, str)]
+        expected = f"one of {', '.join(map(repr, available))}; found {value!r:.80}{did_you_mean(names, value)}"
+        raise InputError(source, field, expected)
 
 
 def check_options(options: Any, *known: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.filter import Filter, Rig
 from vssm_gym.inference.prism.config import HAND_HELD, ROBOT_PRISM
@@ -78,7 +78,7 @@ def make_filter(
         InputError: an unknown name, or a filter that does not take the transition.
     """
     if name not in FILTERS:
-        raise InputError("make_filter", "name", f"one of {', '.join(FILTERS)}; found {name!r:.80}")
+        raise InputError("make_filter", "name", one_of(FILTERS, name))
     if name not in filters_for(transition):
         expected = f"one whose state is a pose with {name!r}; found {type(transition).__name__}"
         raise InputError("make_filter", "transition", expected)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from vssm_gym.data.sequences import FrameReader, Sequence
 from vssm_gym.data.trajectories import from_tum
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.geometry.camera import MAX_DEPTH, Camera
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
@@ -108,9 +108,9 @@ class SlamOptions:
                 f"at most {MAX_SPARSE_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels",
             )
         if self.solver not in SOLVERS:
-            raise InputError("slam", "solver", f"one of {', '.join(SOLVERS)}, not {self.solver!r}")
+            raise InputError("slam", "solver", one_of(SOLVERS, self.solver))
         if self.method not in METHODS:
-            raise InputError("slam", "method", f"one of {', '.join(METHODS)}, not {self.method!r}")
+            raise InputError("slam", "method", one_of(METHODS, self.method))
         if self.refine and self.method != "prism":
             raise InputError(
                 "slam", "refine", "False with method tracker: the map is given, and poses do not change it"
@@ -133,7 +133,7 @@ class SlamOptions:
         if not 0.5 <= self.max_depth <= 100.0:
             raise InputError("slam", "max-depth", f"metres between 0.5 and 100, not {self.max_depth}")
         if self.depth not in DEPTHS:
-            raise InputError("slam", "depth", f"one of {', '.join(DEPTHS)}, not {self.depth!r}")
+            raise InputError("slam", "depth", one_of(DEPTHS, self.depth))
         if not 0 <= self.seed < 2**32:
             raise InputError("slam", "seed", f"between 0 and 2^32 - 1, not {self.seed}")
         if not SMALLEST_IMAGE[0] <= self.render_width <= LARGEST_IMAGE[0]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from vssm_gym.data import sequences
 from vssm_gym.envs.tasks.navigation import Split
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.studies.calibration.errors import summarise
 from vssm_gym.eval.studies.calibration.real import rows_of
 from vssm_gym.eval.studies.calibration.rows import ROWS, Given
@@ -30,7 +30,7 @@ class Setting:
 
     def __post_init__(self) -> None:
         if self.split not in DIVISIONS:
-            raise InputError(SOURCE, "split", f"one of {', '.join(DIVISIONS)}; found {self.split!r}")
+            raise InputError(SOURCE, "split", one_of(DIVISIONS, self.split))
         if self.runs is not None and self.runs < 1:
             raise InputError(SOURCE, "runs", f"at least 1; found {self.runs}")
         if not 0 <= self.seed < 2**31:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from vssm_gym.envs.tasks.navigation import Split
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
 from vssm_gym.eval.studies.map_reliability.surface_errors import measure
 from vssm_gym.eval.studies.map_reliability.table import StoredRow, study_of, summarise
@@ -45,7 +45,7 @@ class Setting:
 
     def __post_init__(self) -> None:
         if self.split not in DIVISIONS:
-            raise InputError(SOURCE, "split", f"one of {', '.join(DIVISIONS)}; found {self.split!r}")
+            raise InputError(SOURCE, "split", one_of(DIVISIONS, self.split))
         if self.maps is not None and self.maps < 1:
             raise InputError(SOURCE, "maps", f"at least 1; found {self.maps}")
         if not 0 <= self.seed < 2**31:

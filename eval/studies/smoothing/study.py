@@ -12,7 +12,7 @@ from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import Sequence, load_sequence
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import Split
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.studies.calibration.rows import FLIGHT_OPTIONS, FLIGHT_SCENE
 from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
 from vssm_gym.eval.studies.flight import YAWS
@@ -49,7 +49,7 @@ class Setting:
 
     def __post_init__(self) -> None:
         if self.split not in DIVISIONS:
-            raise InputError(SOURCE, "split", f"one of {', '.join(DIVISIONS)}; found {self.split!r}")
+            raise InputError(SOURCE, "split", one_of(DIVISIONS, self.split))
         if not 0 <= self.seed < 2**31:
             raise InputError(SOURCE, "seed", f"between 0 and 2^31 - 1; found {self.seed}")
         for name in ("walks", "flights"):

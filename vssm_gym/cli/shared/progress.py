@@ -20,7 +20,12 @@ if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
 LOG_SECONDS = 15.0  # s between two lines of a log
-STAGES = {"recording": "driving and recording", "map": "building the map", "episodes": "running episodes"}
+STAGES = {
+    "recording": "driving and recording",
+    "map": "building the map",
+    "episodes": "running episodes",
+    "ending": "letting the episodes end that are running",
+}
 
 
 class Show(Protocol):

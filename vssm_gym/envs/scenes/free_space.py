@@ -97,6 +97,11 @@ class FreeSpace:
         """Return the distance to the nearest obstacle, m, where the end of the floor is none."""
         return np.asarray(shapely.distance(self._solid, shapely.points(np.asarray(xy, dtype=np.float64))))
 
+    def off_the_floor(self) -> str:
+        """Return what to say of a place off the floor: how far the floor extends."""
+        left, front, right, back = self._floor.bounds
+        return f"that is off the floor, whose x is {left:.1f} to {right:.1f} m and y {front:.1f} to {back:.1f} m"
+
     def obstacles_at(self, xy: ArrayLike) -> list[str]:
         """Return the names of the obstacles that a robot at ``xy`` would collide with, nearest first."""
         point = shapely.points(xy)

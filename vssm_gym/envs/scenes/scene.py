@@ -17,7 +17,7 @@ from vssm_gym.envs.scenes.importers.procthor import asset_database_of, import_pr
 from vssm_gym.envs.scenes.importers.ros_map import import_ros_map
 from vssm_gym.envs.scenes.solids import SolidBox
 from vssm_gym.envs.scenes.specs import LINES, house_line
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, did_you_mean
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import is_file
 from vssm_gym.files.json_file import read_json, read_json_line
@@ -81,7 +81,8 @@ def _from_file(spec: str) -> Apartment:
     path = Path(spec)
     if not is_file(path):
         names = ", ".join(built_in_scenes())
-        raise InputError(spec, "scene", f"a built-in name ({names}), {PREFIX}SEED or the path of an existing file")
+        expected = f"a built-in name ({names}), {PREFIX}SEED or the path of an existing file"
+        raise InputError(spec, "scene", f"{expected}{did_you_mean(built_in_scenes(), spec)}")
     if spec.endswith(LINES):
         raise InputError(spec, "scene", f"the line of the house, counted from 0, as in {path.name}#0")
     if path.suffix in (".yaml", ".yml"):

@@ -21,7 +21,7 @@ from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import ASSETS, Apartment
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.envs.validation import StrictModel, validated
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.json_file import read_json
 
@@ -132,7 +132,7 @@ def make_tasks(apartment: Apartment, robot: Robot, n: int, split: Split, seed: i
         InputError: an unknown split, or an apartment without two places far enough apart.
     """
     if split not in SPLITS:
-        raise InputError("tasks", "split", f"one of {', '.join(SPLITS)}; found {split!r}")
+        raise InputError("tasks", "split", one_of(SPLITS, split))
     sampler = TaskSampler(apartment, robot)
     key = hashlib.sha256(f"{apartment.name}|{split}|{seed}".encode()).digest()
     entropy = [int.from_bytes(key[i : i + 4], "little") for i in range(0, 16, 4)]
@@ -214,7 +214,7 @@ class TaskSampler:
         ):
             if away:
                 obstacles = ", ".join(self.space.obstacles_at((x, y))[:3])
-                why = f"it would collide with {obstacles}" if obstacles else "that is off the floor"
+                why = f"it would collide with {obstacles}" if obstacles else self.space.off_the_floor()
                 raise InputError(source, field, f"a position where the robot fits; at ({x:.2f}, {y:.2f}) {why}")
         length = self.geodesics.length(fitting, goal, self._success)
         if not np.isfinite(length):

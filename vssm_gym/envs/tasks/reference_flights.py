@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.geometry.gravity import GRAVITY
 
 Yaw = Literal["forward", "constant"]
@@ -187,7 +187,7 @@ def place(apartment: Apartment, name: str, clearance: float = CLEARANCE) -> Plac
     :class:`InputError` where the curve fits nowhere, or where the ceiling is too low.
     """
     if name not in CURVES:
-        raise InputError("reference flight", "name", f"one of {', '.join(CURVES)}; found {name!r}")
+        raise InputError("reference flight", "name", one_of(CURVES, name))
     top = FLIGHT_HEIGHT + FLIGHT_LIFT + clearance
     if apartment.ceiling_height < top:
         raise InputError(apartment.name, "ceiling_height", f"at least {top:.2f} m for a flight")

@@ -17,7 +17,7 @@ from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.scene import ASSETS, built_in_scenes, load_scene
 from vssm_gym.envs.tasks.navigation import SPLITS, Split
 from vssm_gym.envs.validation import StrictModel, validated
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.json_file import read_json
 
@@ -95,7 +95,7 @@ def scenes(split: Split, procedural: int = 0) -> tuple[str, ...]:
     Raises :class:`InputError` for an unknown split, or more seeds than it has.
     """
     if split not in SPLITS:
-        raise InputError("splits", "split", f"one of {', '.join(SPLITS)}; found {split!r}")
+        raise InputError("splits", "split", one_of(SPLITS, split))
     frozen = frozen_splits()
     seeds = range(frozen.seeds[split].first, frozen.seeds[split].first + procedural)
     if procedural < 0 or (procedural and seeds[-1] not in frozen.seeds[split]):

@@ -12,7 +12,7 @@ from vssm_gym.envs.scenes.generator.floorplan import build
 from vssm_gym.envs.scenes.generator.furnish import furnish
 from vssm_gym.envs.scenes.generator.layout import layout
 from vssm_gym.envs.scenes.generator.openings import NoPlan
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 
 Size = Literal["small", "medium", "large"]
 SIZES: tuple[Size, ...] = get_args(Size)
@@ -41,7 +41,7 @@ def generate(seed: int, size: Size = "medium") -> Apartment:
     if not 0 <= number <= LARGEST_SEED:
         raise InputError("procedural", "seed", f"0 to 2^63 - 1; found {number}")
     if size not in SIZES:
-        raise InputError("procedural", "size", f"one of {', '.join(SIZES)}; found {size!r}")
+        raise InputError("procedural", "size", one_of(SIZES, size))
     name = f"{PREFIX}{number}" + ("" if size == "medium" else f":{size}")
     robot = HolonomicRobot()
     for draw in range(_PLANS_DRAWN):
