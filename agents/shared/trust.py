@@ -107,7 +107,8 @@ class JudgedFilter:
     While images are frozen the filter gets none, and its belief follows the commands. A filter that compares an image
     with the one before cannot tell where the robot is once two of them do not fit, or once it has moved too far without
     an image (``TrustConfig.most_unseen``): it is never believed again. In a known map a lost filter starts anew where
-    its images are found in all of the map, and is believed after as many fits as any lost one.
+    its images are found in all of the map, and is believed after as many fits there as any lost one. Until then the
+    estimate follows the commands from the last one, and stays with it where an image does not fit at the new place.
 
     Args:
         filter: of the pose; its controls are the robot's commands.
@@ -140,6 +141,9 @@ class JudgedFilter:
         self._lost = self._fits = 0
         self._relocaliser = relocaliser
         self._hypotheses: tuple[Hypothesis, ...] = ()  # places that explain the images since the robot was lost alike
+        self._left: Any = (
+            None  # the state before the filter started anew, until that is confirmed
+        )
         self._broken = False  # the chain of images
         self._unseen = np.zeros(2)  # variances of the motion that no image showed, m^2 and rad^2
 
@@ -147,6 +151,7 @@ class JudgedFilter:
         """Return the estimate after ``command``, which ``observation`` followed."""
         liveness, followed = self._images.update(command, observation), False
         if liveness is Liveness.LIVE:
+            self._follow(command)
             before = self._mean()
             info = self._advance(command, RGBD.from_camera(observation["rgb"], observation["depth"]))
             status = self._status(info, observation)
@@ -157,10 +162,13 @@ class JudgedFilter:
             # The filter may have accepted what is not believed: a chain has then taken a wrong step.
             self._broken |= self._chained and status in (Status.LOST, Status.OVERSHOOT)
             followed = not info.status.accepted  # without an image, a belief follows the command
+            if self._left is not None and not status.accepted:
+                self.state, self._left, followed = self._left, None, True
+                self._in_world = self._belief()
             if followed:
                 self._count_unseen(before, command)
             if self._is_found(status, command, observation):
-                status, followed = Status.RECOVERED, False
+                status, followed, self._fits = Status.RECOVERED, False, 0  # fits at other places count for nothing
         else:
             status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
         if not self._images.repeats:
@@ -171,12 +179,17 @@ class JudgedFilter:
             for denied in self._denied:
                 self._count_unseen(self._mean(), denied)
                 self._advance(denied, self._dark)
+                self._follow(denied)
             self._denied = []
         self._fits = self._fits + 1 if status.accepted else 0
         confirmed = self._lost == 0 or self._fits >= self._config.confirm
         believed = status.accepted and confirmed and not self._broken
         self._lost = 0 if believed else self._lost + 1
+        self._left = None if believed else self._left
         status = Status.UNCONFIRMED if status.accepted and not believed else status
+        if self._left is not None:
+            left = self._belief(self._left)
+            return Judged(left, left, status, self._lost)
         return Judged(self._belief(), self._in_world, status, self._lost)
 
     def _is_found(self, status: Status, command: np.ndarray, observation: Observation) -> bool:
@@ -194,6 +207,7 @@ class JudgedFilter:
         self._hypotheses = found.hypotheses if len(found.hypotheses) > 1 else ()
         if found.belief is None:
             return False
+        self._left = self.state
         self.state = self._filter.init(Posterior(found.belief, relocaliser.map), image, jax.random.key(0))
         self._in_world = found.belief
         self._overshoot.reset()
@@ -204,8 +218,15 @@ class JudgedFilter:
         self._in_world = info.belief
         return info
 
-    def _belief(self) -> GaussianBelief:
-        belief = self._filter.posterior(self.state).belief
+    def _follow(self, command: np.ndarray) -> None:
+        """Move the state that was left on by a command."""
+        if self._left is not None:
+            control = jnp.asarray(command, jnp.float32)
+            self._left, _ = self._filter.step(self._left, control, self._dark, self._dt)
+
+    def _belief(self, state: Any = None) -> GaussianBelief:
+        """Return the belief of a state, by default of the present one, in the map's frame."""
+        belief = self._filter.posterior(self.state if state is None else state).belief
         assert isinstance(belief, GaussianBelief)
         return belief
 

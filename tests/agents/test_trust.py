@@ -8,6 +8,7 @@ from vssm_gym.agents.shared.localization import localized
 from vssm_gym.agents.shared.trust import Conduct, JudgedFilter, LostConfig, TrustConfig, gave_up
 from vssm_gym.inference.alignment.residuals import AlignInfo
 from vssm_gym.inference.filter import FilterInfo
+from vssm_gym.inference.relocalisation.relocaliser import Found, Hypothesis, Outcome
 from vssm_gym.inference.status import Status
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition import MotionNoise, Planar, planar_belief
@@ -136,6 +137,50 @@ def test_the_belief_follows_each_command_once_while_black_images_repeat():
     outcomes = [track.step(command, image(1, depth=0.0)) for command in commands]
     assert [one.status for one in outcomes] == [*[NO_READING] * 4, REPEATED, FROZEN, FROZEN]
     np.testing.assert_allclose(outcomes[-1].belief.mean, [0.8, 0.0, 0.2], atol=1e-5)
+
+
+class Elsewhere:
+    """Find every image at one place."""
+
+    map = None
+
+    def find(self, image):
+        belief = planar_belief(jnp.asarray([5.0, 5.0, 1.0]), 1e-4 * jnp.eye(3))
+        return Found(Outcome.FOUND, (Hypothesis(np.array([5.0, 5.0, 1.0]), 0.0),), belief)
+
+
+class Placed(Scripted):
+    """Begin where the prior says."""
+
+    def init(self, prior, image, key):
+        return np.zeros(3) if prior is None else np.asarray(prior.belief.mean)
+
+    def step(self, state, control, image, dt, clock=None):
+        moved, info = super().step(state, control, image, dt, clock)
+        if info.status is LOST:
+            moved = np.asarray(self.transition.mean(jnp.asarray(state), control, dt))
+        return moved, info._replace(belief=self.belief(moved))
+
+
+@pytest.mark.parametrize("fits", [1, CONFIRM - 1, CONFIRM])
+def test_the_estimate_leaves_for_another_place_when_that_is_confirmed(fits):
+    """Until then, and where an image does not fit there, it is where the commands lead from the last one."""
+    early = TrustConfig().relocalise
+    filter = Placed(*[LOST] * (early + 1), *[OK] * (fits - 1), LOST)
+    track = JudgedFilter(filter, np.zeros(3), 0.2, image(0), relocaliser=Elsewhere)
+    outcomes = [track.step(DRIVE, image(k)) for k in range(1, early + fits + 2)]
+    found = [one.status for one in outcomes[early:]]
+    last = UNCONFIRMED if fits < CONFIRM else LOST  # found there once more, or followed from there
+    assert found == [*[UNCONFIRMED] * min(fits, CONFIRM - 1), *[OK] * (fits == CONFIRM), last]
+    confirmed = early + CONFIRM
+    for k, one in enumerate(outcomes, 1):
+        if fits == CONFIRM and k >= confirmed:
+            c, s = 0.16 * (k - confirmed) * np.cos(1.0), 0.16 * (k - confirmed) * np.sin(1.0)
+            expected = [5.0 + c, 5.0 + s, 1.0]
+        else:
+            expected = [0.16 * k, 0.0, 0.0]
+        np.testing.assert_allclose(one.belief.mean, expected, atol=1e-5)
+        np.testing.assert_allclose(one.in_world.mean, expected, atol=1e-5)
 
 
 class Drifting(Scripted):

@@ -106,6 +106,13 @@ EVALUATION = (
         (f"{OF_TRUST}::test_the_drift_of_the_map_is_in_the_covariance_that_is_stated_and_not_in_what_is_planned_by",),
     ),
     Mutant(
+        "fits-at-several-places-confirm-the-last-one",
+        "agents/shared/trust.py",
+        "status, followed, self._fits = Status.RECOVERED, False, 0",
+        "status, followed = Status.RECOVERED, False",
+        (f"{OF_TRUST}::test_the_estimate_leaves_for_another_place_when_that_is_confirmed",),
+    ),
+    Mutant(
         "alignment-of-trajectories-may-reflect",
         "vssm_gym/slam/trajectory_error.py",
         "R = (U * flip) @ Vt",
