@@ -141,9 +141,7 @@ class JudgedFilter:
         self._lost = self._fits = 0
         self._relocaliser = relocaliser
         self._hypotheses: tuple[Hypothesis, ...] = ()  # places that explain the images since the robot was lost alike
-        self._left: Any = (
-            None  # the state before the filter started anew, until that is confirmed
-        )
+        self._left: Any = None  # the state before the filter started anew, until that is confirmed
         self._broken = False  # the chain of images
         self._unseen = np.zeros(2)  # variances of the motion that no image showed, m^2 and rad^2
 
