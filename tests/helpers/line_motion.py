@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.stats import norm
 
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -33,7 +31,9 @@ class Line:
 
     def pose(self, state: Any) -> Any:
         """Return a pose on the line."""
-        return jnp.zeros((*state.shape[:-1], 4, 4)).at[..., range(4), range(4)].set(1.0).at[..., 0, 3].set(state[..., 0])
+        return (
+            jnp.zeros((*state.shape[:-1], 4, 4)).at[..., range(4), range(4)].set(1.0).at[..., 0, 3].set(state[..., 0])
+        )
 
     def resting(self, T_world_body: Any) -> Any:
         """Return the place without velocity."""
@@ -48,11 +48,12 @@ class LineMotion(Transition):
 
     Attributes:
         std: of place and velocity after a step.
-        reading_std: of readings of the place after each step, all of them 0, which multiply the density; 0: none.
+        information: of a reading of the place after each step, all of them 0: ``exp(-information x^2 / 2)`` multiplies
+            the density.
     """
 
     std: tuple[float, float] = (0.1, 0.2)
-    reading_std: float = eqx.field(static=True, default=0.0)
+    information: float = 0.0
 
     manifold = LINE
     controls = 1
@@ -60,21 +61,20 @@ class LineMotion(Transition):
 
     def mean(self, state: Any, control: Any, dt: Any) -> Any:
         """Integrate."""
-        return state @ jnp.asarray(self.F(dt)).T + jnp.concatenate([jnp.zeros_like(control), control * dt], axis=-1)
+        return state @ step_matrix(dt).T + jnp.concatenate([jnp.zeros_like(control), control * dt], axis=-1)
 
     def noise_covariance(self, state: Any, control: Any, dt: Any) -> Any:
         """Return a diagonal matrix."""
         return jnp.diag(jnp.asarray(self.std) ** 2)
 
     def log_prob(self, following: Any, state: Any, control: Any, dt: Any) -> Any:
-        """Add the log density of the reading."""
-        density = super().log_prob(following, state, control, dt)
-        return density + norm.logpdf(following[..., 0], 0.0, self.reading_std) if self.reading_std else density
+        """Add the logarithm of the reading's factor."""
+        return super().log_prob(following, state, control, dt) - 0.5 * self.information * following[..., 0] ** 2
 
-    @staticmethod
-    def F(dt: Any) -> Any:
-        """Return the matrix of a step."""
-        return jnp.array([[1.0, dt], [0.0, 1.0]])
+
+def step_matrix(dt: Any) -> Any:
+    """Return ``F``, by which a step of ``dt`` seconds carries errors on."""
+    return jnp.array([[1.0, dt], [0.0, 1.0]])
 
 
 def dense_path(

@@ -97,7 +97,7 @@ def elbo(
     batch: Batch,
     samples: int,
 ) -> Elbo:
-    """Return an unbiased estimate of each term, by key and batch (eqs. I53 to I57).
+    """Return an unbiased estimate of each term, by key and batch (eqs. I53 and I58).
 
     Differentiable in the parameters of ``q``, in the emission scales and in the intrinsics.
 
@@ -184,7 +184,7 @@ def log_prob_path(
 
 
 def map_divergence(q: VoxelMap, prior: VoxelMap) -> Float[Array, ""]:
-    """``KL(q(M) || p(M))`` of occupancy and three colours a cell, over the stored cells (eq. I55).
+    """``KL(q(M) || p(M))`` of occupancy and three colours a cell, over the stored cells (eq. I56).
 
     Blocks without storage are no part of the random map (:mod:`~vssm_gym.inference.smoothing.map_draw`).
 

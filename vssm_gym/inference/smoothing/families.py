@@ -50,7 +50,7 @@ class TrajectoryBelief(Protocol):
 
 
 class MeanField(eqx.Module):
-    """``q(z_1:T) = prod_t q(z_t)``: independent Gaussians in the tangents at their means (VSSM-LM; eq. I53).
+    """``q(z_1:T) = prod_t q(z_t)``: independent Gaussians in the tangents at their means (VSSM-LM; eq. I54).
 
     Attributes:
         nominal: states with a leading time axis, about which means move; not free.
@@ -87,7 +87,7 @@ class MeanField(eqx.Module):
 
 
 class Chain(eqx.Module):
-    """``xi ~ N(0, (L L^T)^-1)`` with a block-bidiagonal ``L``: a Gaussian chain over the steps (eq. I54).
+    """``xi ~ N(0, (L L^T)^-1)`` with a block-bidiagonal ``L``: a Gaussian chain over the steps (eq. I55).
 
     With ``D_t = diag(std_t)``, blocks ``D_t^-1 (1 + N_t)`` on the diagonal of ``L``, ``N_t`` strictly lower triangular,
     and ``D_t+1^-1 B_t`` below it, the whitened errors ``w_t = D_t^-1 xi_t`` follow from ``L^T xi = eps`` backwards:
