@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from tests.helpers.analytic_room import camera_pose
-from tests.helpers.random_maps import SHAPE, random_map
+from tests.helpers.random_maps import ORIGIN, SHAPE, VOXEL, random_map
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.smoothing.map_draw import MapDraw, cell_normals
 from vssm_gym.maps.block_table import CELLS, BlockTable
@@ -74,7 +74,7 @@ def uncertain(sparse: bool) -> VoxelMap:
         return m
     n = m.occupancy.shape[0]
     kept = np.setdiff1d(np.arange(n), [0, n - 1])
-    empty = VoxelMap.prior(m.origin, m.voxel_size, SHAPE, slots=n + 1)
+    empty = VoxelMap.prior(ORIGIN, VOXEL, SHAPE, slots=n + 1)
     arrays = lambda m: (m.occupancy, m.occupancy_precision, m.colour, m.colour_precision)
     filled = [new.at[1 : 1 + len(kept)].set(old[kept]) for new, old in zip(arrays(empty), arrays(m), strict=True)]
     table = BlockTable.of(m.blocks, n + 1, kept)
@@ -91,8 +91,9 @@ def test_rays_see_what_a_full_sample_shows(sparse: bool) -> None:
     np.testing.assert_array_equal(found.hit, expected.hit.reshape(-1))
     np.testing.assert_allclose(found.depth, expected.depth.reshape(-1), atol=1e-4)
     np.testing.assert_allclose(found.rgb, expected.rgb.reshape(-1, 3), atol=1e-4)
-    assert 0.2 < float(np.mean(found.hit)) < 1.0
-    assert np.mean(np.abs(np.asarray(found.depth - mean.depth.reshape(-1))) > 1e-3) > 0.2
+    hits = float(np.mean(found.hit))
+    assert 0.1 < hits < 1.0
+    assert np.mean(np.abs(np.asarray(found.depth - mean.depth.reshape(-1))) > 1e-3) > 0.8 * hits
 
 
 def test_cells_without_storage_are_the_prior_and_have_no_slope() -> None:

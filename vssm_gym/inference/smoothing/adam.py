@@ -20,6 +20,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from vssm_gym.errors import InputError
 from vssm_gym.inference.smoothing.elbo import VariationalPosterior, draw_batch, elbo
 from vssm_gym.inference.smoothing.parameters import Parameters
+from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.spatial_model import SpatialModel, State
 from vssm_gym.model.transition.belief import Belief
@@ -129,7 +130,7 @@ def _climb(
     keys: PRNGKeyArray,
     model: SpatialModel,
     start: Belief,
-    grid: Any,
+    grid: VoxelMap,
     controls: Array,
     images: RGBD,
     dt: Array,

@@ -70,7 +70,7 @@ class MapDraw(eqx.Module):
 
 
 def cell_normals(words: UInt32[Array, "2"], position: Int[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """``eps ~ N(0, 1)`` of positions in storage: a function of both arguments, independent between their values (eq. I57).
+    """``eps ~ N(0, 1)`` of positions in storage: independent between arguments (eq. I57).
 
     Args:
         words: two random words, the key.

@@ -59,8 +59,10 @@ class Parameters(eqx.Module):
             model: its scales and intrinsics are read.
         """
         scales, camera = model.scales, model.camera
-        logs = (jnp.log(jnp.asarray(s)) for s in (scales.depth, scales.growth, scales.rgb, scales.textured_rgb))
-        numbers = (jnp.asarray(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
+        # Not of weak type, which the first gradient step would change: it would compile twice
+        number = lambda x: jnp.asarray(x, jnp.float32)
+        logs = (jnp.log(number(s)) for s in (scales.depth, scales.growth, scales.rgb, scales.textured_rgb))
+        numbers = (number(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
         return cls(
             states=q.states,
             occupancy=q.m.occupancy,
