@@ -1,6 +1,7 @@
 """Hold what the evidence lower bound is maximised over, positive numbers by their logarithms (VSSM-LM, section 4)."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -59,19 +60,18 @@ class Parameters(eqx.Module):
             model: its scales and intrinsics are read.
         """
         scales, camera = model.scales, model.camera
-        # Not of weak type, which the first gradient step would change: it would compile twice
-        number = lambda x: jnp.asarray(x, jnp.float32)
-        logs = (jnp.log(number(s)) for s in (scales.depth, scales.growth, scales.rgb, scales.textured_rgb))
-        numbers = (number(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
-        return cls(
+        logs = (jnp.log(x) for x in (scales.depth, scales.growth, scales.rgb, scales.textured_rgb))
+        parameters = cls(
             states=q.states,
             occupancy=q.m.occupancy,
             log_occupancy_std=-0.5 * jnp.log(q.m.occupancy_precision),
             colour=q.m.colour,
             log_colour_std=-0.5 * jnp.log(q.m.colour_precision),
             log_scales=LogScales(*logs),
-            intrinsics=Intrinsics(*numbers),
+            intrinsics=Intrinsics(*(jnp.asarray(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))),
         )
+        # None of weak type, which the first gradient step would change: all would compile twice
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), parameters)
 
     def posterior(self, grid: VoxelMap) -> VariationalPosterior:
         """Return ``q(z_1:T, M)``.
