@@ -31,9 +31,8 @@ class Line:
 
     def pose(self, state: Any) -> Any:
         """Return a pose on the line."""
-        return (
-            jnp.zeros((*state.shape[:-1], 4, 4)).at[..., range(4), range(4)].set(1.0).at[..., 0, 3].set(state[..., 0])
-        )
+        still = jnp.broadcast_to(jnp.eye(4), (*state.shape[:-1], 4, 4))
+        return still.at[..., 0, 3].set(state[..., 0])
 
     def resting(self, T_world_body: Any) -> Any:
         """Return the place without velocity."""
