@@ -13,7 +13,7 @@ import pytest
 from scipy import stats
 
 from tests.helpers.field_oracle import EMPTY, KNOWN, pixel_log_prob
-from tests.helpers.line_motion import LINE, LineMotion, dense_path
+from tests.inference.smoothing.line_motion import LINE, LineMotion, dense_path
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.smoothing.elbo import (
     Batch,
@@ -363,7 +363,7 @@ def sloped() -> tuple[Parameters, Parameters]:
 def test_gradients_are_finite_differences_of_the_same_estimate(
     sloped: tuple[Parameters, Parameters], part: str
 ) -> None:
-    """Of the same estimate, random numbers in common, along gradient and a random direction, by 0.1 nats."""
+    """With common random numbers, along the gradient and a random direction, by 0.1 nats."""
     parameters, gradient = sloped
     rng = np.random.default_rng(6)
     slope = [np.asarray(g, float) for g in PARTS[part](gradient)]

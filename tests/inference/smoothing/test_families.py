@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.helpers.line_motion import LINE
+from tests.inference.smoothing.line_motion import LINE
 from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.inference.smoothing.families import Chain, MeanField, TrajectoryBelief
 from vssm_gym.model.transition import PLANAR, RIGID

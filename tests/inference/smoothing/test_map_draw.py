@@ -45,7 +45,7 @@ def test_neighbours_are_independent(lag: int) -> None:
 
 
 def test_draws_and_channels_are_independent() -> None:
-    """Of other keys, and of keys that differ by one bit of one word, which is the hardest for a hash."""
+    """Try other keys, and keys that differ by one bit of one word, which is the hardest for a hash."""
     key = words(6)
     others = [words(7), *(key.at[word].set(key[word] ^ jnp.uint32(1 << bit)) for word in (0, 1) for bit in (0, 13, 31))]
     eps = normals(key)
