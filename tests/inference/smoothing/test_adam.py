@@ -23,7 +23,7 @@ VIEW = Camera(12, 9, 6.0, 6.0, 5.5, 4.0)
 T_BODY_CAM = jnp.asarray([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 TIME = 4
 CONTROLS = jnp.tile(jnp.asarray([0.1, 0.0, 0.1]), (TIME - 1, 1))
-CONFIG = ElboAdamConfig(steps=120, length=2, pixels=40, reported=40, states_rate=0.002, occupancy_rate=1e-4)
+CONFIG = ElboAdamConfig(steps=360, length=2, pixels=40, reported=120, states_rate=0.002, occupancy_rate=1e-4)
 
 
 def transition() -> Planar:

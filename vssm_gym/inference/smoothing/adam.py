@@ -127,7 +127,7 @@ def smooth(
 def _climb(
     parameters: Parameters,
     moments: Any,
-    keys: PRNGKeyArray,
+    keys: Array,
     model: SpatialModel,
     start: Belief,
     grid: VoxelMap,
