@@ -390,7 +390,7 @@ INFERENCE = (
         "vssm_gym/inference/smoothing/elbo.py",
         "images=images.depth.size * jnp.mean(pixels)",
         "images=images.depth[0].size * len(batch.step) * jnp.mean(pixels)",
-        (f"{OF_SMOOTHING}/test_elbo.py::test_batches_are_unbiased",),
+        (f"{OF_SMOOTHING}/test_parameters.py::test_batches_are_unbiased",),
     ),
     Mutant(
         "divergence-of-one-colour-channel",
