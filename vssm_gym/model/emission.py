@@ -9,7 +9,7 @@ an image about a rendered one is in :mod:`vssm_gym.model.emission_density`.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -54,6 +54,30 @@ class RGBD(eqx.Module):
         return cls(metres, jnp.asarray(rgb, jnp.float32) / 255.0, metres > 0.0, metres > 0.0)
 
 
+@runtime_checkable
+class Field(Protocol):
+    """Describe ``f_M: R^3 -> R^4`` on a grid: the mean of a :class:`VoxelMap`, or a draw of its cells."""
+
+    @property
+    def voxel_size(self) -> Array:
+        """Return the edge of a cell, m."""
+
+    def occupancy_at(self, p_world: Array) -> Array:
+        """Return the occupancy (...) at points (..., 3), m."""
+
+    def colour_at(self, p_world: Array) -> Array:
+        """Return RGB (..., 3) in [0, 1] at points (..., 3)."""
+
+
+class Hits(NamedTuple):
+    """Hold what rays hit first."""
+
+    depth: Float[Array, "rays"]  # z-depth, m; 0 where there is none
+    rgb: Float[Array, "rays 3"]  # [0, 1]; 0 where there is none
+    hit: Bool[Array, "rays"]
+    surface: Float[Array, "rays 3"]  # m, world; read it at hits only
+
+
 class _Rays(NamedTuple):
     """Hold rays in cell coordinates: position ``start + k * stride`` at sample ``k``.
 
@@ -78,17 +102,28 @@ class _Rays(NamedTuple):
         return self.k <= self.last
 
 
-def world_rays(T_world_cam: Float[Array, "4 4"], camera: Camera) -> tuple[Array, Array]:
-    """Return the camera centre (3,) and ray directions (height*width, 3) in the world, per metre of z-depth."""
+def world_rays(
+    T_world_cam: Float[Array, "4 4"], camera: Camera, pixels: Int[Array, "rays"] | None = None
+) -> tuple[Array, Array]:
+    """Return the camera centre (3,) and ray directions (rays, 3) in the world, per metre of z-depth.
+
+    Args:
+        T_world_cam: pose of the camera.
+        camera: intrinsics and image size.
+        pixels: numbers of pixels, row by row; None: all of them.
+    """
     # One array a coordinate: a product (N, 3) @ (3, 3) costs as much as a tenth of an image.
-    v, u = (a.reshape(-1) for a in jnp.indices((camera.height, camera.width), jnp.float32))
+    if pixels is None:
+        v, u = (a.reshape(-1) for a in jnp.indices((camera.height, camera.width), jnp.float32))
+    else:
+        v, u = (a.astype(jnp.float32) for a in (pixels // camera.width, pixels % camera.width))
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     R = T_world_cam[:3, :3]
     directions = jnp.stack([R[a, 0] * x + R[a, 1] * y + R[a, 2] for a in range(3)], axis=-1)
     return T_world_cam[:3, 3], directions
 
 
-def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
+def march(m: Field, centre: Array, directions: Array, max_depth: float | Array = MAX_DEPTH) -> tuple[Array, Array]:
     """Search every sample of every ray in order: the published search, to which :func:`search` is compared in tests.
 
     Returns:
@@ -105,7 +140,8 @@ def march(m: VoxelMap, centre: Array, directions: Array, max_depth: float | Arra
         return k + 1, found | above, first
 
     zero = jnp.zeros(directions.shape[:-1], jnp.int32)
-    _, found, first = jax.lax.while_loop(lambda c: c[0] <= count, advance, (jnp.int32(1), zero > 0, zero))
+    searching = lambda carry: (carry[0] <= count) & ~jnp.all(carry[1])
+    _, found, first = jax.lax.while_loop(searching, advance, (jnp.int32(1), zero > 0, zero))
     return first, found
 
 
@@ -215,7 +251,7 @@ def _along(centre: Array, directions: Array, depth: Array) -> Array:
     return jnp.stack([centre[a] + directions[:, a] * depth for a in range(3)], axis=-1)
 
 
-def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays"]) -> Float[Array, "rays"]:
+def intersect(m: Field, centre: Array, directions: Array, k: Int[Array, "rays"]) -> Float[Array, "rays"]:
     """``d* = a d_k + (1 - a) d_k-1``: the z-depth of the crossing before sample ``k``; differentiable (eq. M9)."""
     e = STEP * m.voxel_size
     d_k = k.astype(jnp.float32) * e
@@ -228,6 +264,29 @@ def intersect(m: VoxelMap, centre: Array, directions: Array, k: Int[Array, "rays
     return jnp.where(rise > 1e-9, a * d_k + (1.0 - a) * d_before, d_k)
 
 
+def trace(
+    searcher: Callable[..., tuple[Array, Array]],
+    m: Field,
+    centre: Float[Array, "3"],
+    directions: Float[Array, "rays 3"],
+    max_depth: float | Array = MAX_DEPTH,
+) -> Hits:
+    """Find the surface and its colour along rays, with a given search; differentiable but for the search (eq. M9).
+
+    Args:
+        searcher: ``march``, or ``search`` in a :class:`VoxelMap`.
+        m: the field.
+        centre: of the camera, m, world.
+        directions: of the rays, per metre of z-depth.
+        max_depth: z-depth up to which surfaces are searched, m.
+    """
+    k, hit = searcher(*jax.lax.stop_gradient((m, centre, directions)), max_depth)
+    depth = intersect(m, centre, directions, jnp.where(hit, k, 2))
+    surface = _along(centre, directions, depth)
+    rgb = jnp.where(hit[:, None], m.colour_at(surface), 0.0)
+    return Hits(jnp.where(hit, depth, 0.0), rgb, hit, surface)
+
+
 def render_with(
     searcher: Callable[..., tuple[Array, Array]],
     m: VoxelMap,
@@ -236,17 +295,10 @@ def render_with(
     max_depth: float | Array = MAX_DEPTH,
 ) -> RGBD:
     """Render as :func:`render`, with a given search (``march`` or ``search``)."""
-    centre, directions = world_rays(T_world_cam, camera)
-    k, hit = searcher(*jax.lax.stop_gradient((m, centre, directions)), max_depth)
-    k = jnp.where(hit, k, 2)
-    depth = intersect(m, centre, directions, k)
-    surface = _along(centre, directions, depth)
-    rgb = m.colour_at(surface)
-    known = hit & (m.observed_at(jax.lax.stop_gradient(surface)) >= KNOWN_SHARE)
+    seen = trace(searcher, m, *world_rays(T_world_cam, camera), max_depth)
+    known = seen.hit & (m.observed_at(jax.lax.stop_gradient(seen.surface)) >= KNOWN_SHARE)
     shape = (camera.height, camera.width)
-    depth = jnp.where(hit, depth, 0.0).reshape(shape)
-    rgb = jnp.where(hit[:, None], rgb, 0.0).reshape(*shape, 3)
-    return RGBD(depth, rgb, hit.reshape(shape), known.reshape(shape))
+    return RGBD(seen.depth.reshape(shape), seen.rgb.reshape(*shape, 3), seen.hit.reshape(shape), known.reshape(shape))
 
 
 @jax.jit
