@@ -1,4 +1,4 @@
-"""Define the two errors that the command line prints as one line: invalid input, and output that cannot be written."""
+"""Define the errors that the command line prints as one line, of invalid input and of output, and what they say."""
 
 import difflib
 import re
@@ -47,7 +47,9 @@ def one_of(available: Iterable[str], found: object) -> str:
 
 def did_you_mean(available: Iterable[str], found: object) -> str:
     """Return " (did you mean 'oak'?)" where one of the names is much like what was found, else nothing."""
-    alike = difflib.get_close_matches(str(found)[:LONGEST_VALUE], available, n=1)
+    if not isinstance(found, str):
+        return ""
+    alike = difflib.get_close_matches(found[:LONGEST_VALUE], available, n=1)
     return f" (did you mean {alike[0]!r}?)" if alike else ""
 
 

@@ -39,5 +39,5 @@ class SlamNavAgent:
 
     @property
     def plan(self) -> FloorPlan:
-        """Return the floor plan of the present belief."""
+        """Return the floor plan of the present belief, read from the map at each call."""
         return self._surroundings.floor_plan()

@@ -141,7 +141,8 @@ class JudgedFilter:
         self._lost = self._fits = 0
         self._relocaliser = relocaliser
         self._hypotheses: tuple[Hypothesis, ...] = ()  # places that explain the images since the robot was lost alike
-        self._left: Any = None  # the state before the filter started anew, until that is confirmed
+        # The state before the filter started anew, moved on by the commands, until the new place is confirmed.
+        self._left: Any = None
         self._broken = False  # the chain of images
         self._unseen = np.zeros(2)  # variances of the motion that no image showed, m^2 and rad^2
 
@@ -149,26 +150,15 @@ class JudgedFilter:
         """Return the estimate after ``command``, which ``observation`` followed."""
         liveness, followed = self._images.update(command, observation), False
         if liveness is Liveness.LIVE:
-            self._follow(command)
-            before = self._mean()
-            info = self._advance(command, RGBD.from_camera(observation["rgb"], observation["depth"]))
-            status = self._status(info, observation)
-            if status is Status.OK and self._overshoot.update(before, command, self._mean()):
-                status = Status.OVERSHOOT
-            elif status is Status.RECOVERED:
-                self._overshoot.reset()
-            # The filter may have accepted what is not believed: a chain has then taken a wrong step.
-            self._broken |= self._chained and status in (Status.LOST, Status.OVERSHOOT)
-            followed = not info.status.accepted  # without an image, a belief follows the command
+            status, followed = self._see(command, observation)
             if self._left is not None and not status.accepted:
-                self.state, self._left, followed = self._left, None, True
-                self._in_world = self._belief()
-            if followed:
-                self._count_unseen(before, command)
-            if self._is_found(status, command, observation):
-                status, followed, self._fits = Status.RECOVERED, False, 0  # fits at other places count for nothing
+                self._return()
+                status, followed = self._see(command, observation)
         else:
             status = Status.FROZEN if liveness is Liveness.FROZEN else Status.REPEATED
+        self._follow(command)
+        if liveness is Liveness.LIVE and self._is_found(status, command, observation):
+            status, followed, self._fits = Status.RECOVERED, False, 0  # fits at other places count for nothing
         if not self._images.repeats:
             self._denied = []
         elif not followed:  # a repeated image that was accepted shows no motion
@@ -177,7 +167,6 @@ class JudgedFilter:
             for denied in self._denied:
                 self._count_unseen(self._mean(), denied)
                 self._advance(denied, self._dark)
-                self._follow(denied)
             self._denied = []
         self._fits = self._fits + 1 if status.accepted else 0
         confirmed = self._lost == 0 or self._fits >= self._config.confirm
@@ -189,6 +178,27 @@ class JudgedFilter:
             left = self._belief(self._left)
             return Judged(left, left, status, self._lost)
         return Judged(self._belief(), self._in_world, status, self._lost)
+
+    def _see(self, command: np.ndarray, observation: Observation) -> tuple[Status, bool]:
+        """Advance the filter by a live image; return its judgement, and True where the command alone moved it."""
+        before = self._mean()
+        info = self._advance(command, RGBD.from_camera(observation["rgb"], observation["depth"]))
+        status = self._status(info, observation)
+        if status is Status.OK and self._overshoot.update(before, command, self._mean()):
+            status = Status.OVERSHOOT
+        elif status is Status.RECOVERED:
+            self._overshoot.reset()
+        # The filter may have accepted what is not believed: a chain has then taken a wrong step.
+        self._broken |= self._chained and status in (Status.LOST, Status.OVERSHOOT)
+        followed = not info.status.accepted  # without an image, a belief follows the command
+        if followed:
+            self._count_unseen(before, command)
+        return status, followed
+
+    def _return(self) -> None:
+        """Go on from the state that was left, which has followed all commands but the present one."""
+        self.state, self._left, self._denied, self._fits = self._left, None, [], 0
+        self._overshoot.reset()
 
     def _is_found(self, status: Status, command: np.ndarray, observation: Observation) -> bool:
         """Compare the image of a lost robot with all of the map; return True where the filter starts anew there."""

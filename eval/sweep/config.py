@@ -181,7 +181,8 @@ def check_names(config: SweepConfig, source: object, arguments: Mapping[str, str
         for name in getattr(config, field):
             if name not in available:
                 unfit = _unfit(name, env=config.env[0]) if field == "agents" else ""
-                raise InputError(source, named(field), f"{one_of(available, name)}{unfit}")
+                hint = "" if unfit.startswith(",") else did_you_mean(available, name)
+                raise InputError(source, named(field), f"one of {', '.join(available)}; found {name!r}{hint}{unfit}")
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
         raise InputError(source, named("scenes"), "scenes whose file names differ: maps and rows are named after them")
     names = protocol.scene_names()

@@ -272,7 +272,6 @@ def _run(
         row = future.result()
         del futures[future]
         log.append(row)
-        report()
 
     def report() -> None:
         if on_progress:
@@ -287,15 +286,17 @@ def _run(
         try:
             for job in first:
                 keep(submit(job))
+                report()
             for future in as_completed([submit(job) for job in jobs if job not in first]):
                 keep(future)
+                report()
         except KeyboardInterrupt:
             running = [future for future in futures if not future.cancel()]
-            for done, future in enumerate(running):
-                if on_progress:
-                    on_progress("ending", done, len(running))
-                if future.exception() is None:
+            for done, future in enumerate([None, *as_completed(running)]):
+                if future is not None and future.exception() is None:
                     keep(future)
+                if on_progress and running:
+                    on_progress("ending", done, len(running))
             raise
         except BrokenProcessPool as error:
             time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted

@@ -16,13 +16,13 @@ from vssm_gym.envs.robots import HOLONOMIC_NOISES, HolonomicRobot
 from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import CameraConfig
-from vssm_gym.envs.tasks.navigation import Task, task_set
+from vssm_gym.envs.tasks.navigation import SHIPPED_TASKS, Task, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, episode_seed, scene_name
 from vssm_gym.eval.protocols.episode import StepRecord, run_episode
 from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.eval.protocols.shared import sampler_of, world
-from vssm_gym.eval.sweep.config import MOST_TASKS, OF_ONE, SweepConfig, check_names, expand
+from vssm_gym.eval.sweep.config import OF_ONE, SweepConfig, check_names, expand
 from vssm_gym.eval.sweep.runner import config_hash, scene_map_hash
 from vssm_gym.eval.video import navigator_pictures
 from vssm_gym.eval.video.ending import Ending
@@ -96,8 +96,8 @@ def prepare(drive: Drive) -> Prepared:
     check_at_least(COMMAND, "seed", drive.seed, 0)
     check_at_least(COMMAND, "steps", drive.steps, 1)
     check_at_least(COMMAND, "task", drive.task, 0)
-    if drive.task >= MOST_TASKS:
-        raise InputError(COMMAND, "task", f"less than {MOST_TASKS:,}; found {drive.task}")
+    if drive.task >= SHIPPED_TASKS:
+        raise InputError(COMMAND, "task", f"less than {SHIPPED_TASKS}; found {drive.task}")
     kind = AGENTS.get(drive.agent.partition(WITH)[0])  # an unknown one is named by the check below
     by_image = isinstance(drive.goal, Path) or (kind is not None and kind.task == "imagegoal")
     config = SweepConfig(
@@ -106,7 +106,7 @@ def prepare(drive: Drive) -> Prepared:
         agents=(drive.agent,),
         noise=(drive.noise,),
         sensor_noise=(drive.sensor_noise,),
-        tasks=(0,),
+        tasks=(drive.task,),
         seeds=(drive.seed,),
     )
     check_names(config, COMMAND, OF_ONE)
@@ -196,13 +196,14 @@ def map_notice(voxel_map: VoxelMap, start: tuple[float, float, float]) -> str | 
 def _task(drive: Drive, apartment: Apartment) -> Task:
     """Return the task; one with an image for its goal has the goal of a test task as a stand-in."""
     sampler = sampler_of(drive.scene)
-    known = task_set(apartment, HolonomicRobot(), "test", drive.task + 2).tasks[-2:]
-    start = known[0].start if drive.start is None else drive.start
-    if isinstance(drive.goal, Path):  # of two goals that far apart, a start is at one at most
-        tasks = [sampler.task(start, task.goal) for task in known]
-        return max(tasks, key=lambda task: task.geodesic)
+    known = task_set(apartment, HolonomicRobot(), "test", max(drive.task + 1, 2)).tasks
+    given, other = known[drive.task], known[drive.task - 1]
+    start = given.start if drive.start is None else drive.start
     try:
-        task = sampler.task(start, known[0].goal if drive.goal is None else drive.goal)
+        if isinstance(drive.goal, Path):  # of two goals that far apart, a start is at one at most
+            tasks = [sampler.task(start, task.goal) for task in (given, other)]
+            return max(tasks, key=lambda task: task.geodesic)
+        task = sampler.task(start, given.goal if drive.goal is None else drive.goal)
     except InputError as error:
         raise InputError(COMMAND, error.field, error.expected) from None
     if task.geodesic <= 0.0:

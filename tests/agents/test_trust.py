@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from vssm_gym.agents.shared.localization import localized
-from vssm_gym.agents.shared.trust import Conduct, JudgedFilter, LostConfig, TrustConfig, gave_up
+from vssm_gym.agents.shared.trust import TRUST, Conduct, JudgedFilter, LostConfig, TrustConfig, gave_up
 from vssm_gym.inference.alignment.residuals import AlignInfo
 from vssm_gym.inference.filter import FilterInfo
 from vssm_gym.inference.relocalisation.relocaliser import Found, Hypothesis, Outcome
@@ -140,11 +140,17 @@ def test_the_belief_follows_each_command_once_while_black_images_repeat():
 
 
 class Elsewhere:
-    """Find every image at one place."""
+    """Find so many images at one place, by default all."""
 
     map = None
 
+    def __init__(self, times: int = 99) -> None:
+        self.times = times
+
     def find(self, image):
+        if self.times == 0:
+            return Found(Outcome.NOTHING)
+        self.times -= 1
         belief = planar_belief(jnp.asarray([5.0, 5.0, 1.0]), 1e-4 * jnp.eye(3))
         return Found(Outcome.FOUND, (Hypothesis(np.array([5.0, 5.0, 1.0]), 0.0),), belief)
 
@@ -181,6 +187,46 @@ def test_the_estimate_leaves_for_another_place_when_that_is_confirmed(fits):
             expected = [0.16 * k, 0.0, 0.0]
         np.testing.assert_allclose(one.belief.mean, expected, atol=1e-5)
         np.testing.assert_allclose(one.in_world.mean, expected, atol=1e-5)
+
+
+def lost_and_found(*after: Status, config: TrustConfig = TRUST) -> JudgedFilter:
+    """Return a filter that was lost for long enough, and has been found elsewhere at its fourth image, once."""
+    filter = Placed(*[LOST] * (TrustConfig().relocalise + 1), *after)
+    finder = Elsewhere(times=1)
+    track = JudgedFilter(filter, np.zeros(3), 0.2, image(0), config=config, relocaliser=lambda: finder)
+    for k in range(1, TrustConfig().relocalise + 2):
+        track.step(DRIVE, image(k))
+    return track
+
+
+def test_an_image_that_refutes_a_place_is_compared_with_the_place_before():
+    """It fits there: from now on as many images have to fit there as at any other place."""
+    track = lost_and_found(OK, LOST, *[OK] * CONFIRM)
+    outcomes = [track.step(DRIVE, image(k)) for k in range(10, 11 + CONFIRM)]
+    assert [one.status for one in outcomes] == [*[UNCONFIRMED] * CONFIRM, OK]
+    for one in outcomes:  # five commands were followed, and an image that fits shows no motion here
+        np.testing.assert_allclose(one.belief.mean, [0.8, 0.0, 0.0], atol=1e-5)
+        np.testing.assert_allclose(one.in_world.mean, one.belief.mean)
+
+
+def test_a_place_that_was_left_is_gone_on_from_where_nothing_fits():
+    track = lost_and_found(OK, LOST, LOST)
+    outcomes = [track.step(DRIVE, image(k)) for k in (10, 11)]
+    assert [one.status for one in outcomes] == [UNCONFIRMED, LOST]
+    for commands, one in zip((5, 6), outcomes, strict=True):
+        np.testing.assert_allclose(one.belief.mean, [0.16 * commands, 0.0, 0.0], atol=1e-5)
+        np.testing.assert_allclose(one.in_world.mean, one.belief.mean)
+
+
+def test_a_place_that_was_left_follows_each_command_once_while_images_freeze():
+    track = lost_and_found(*[OK] * 4, config=TrustConfig(confirm=9))
+    outcomes = [track.step(command, image(10)) for command in (DRIVE, *[TURN] * 5)]
+    assert outcomes[-1].status is FROZEN
+    for turns, one in enumerate(outcomes):
+        np.testing.assert_allclose(one.belief.mean, [0.8, 0.0, 0.2 * turns], atol=1e-5)
+    after = track.step(DRIVE, image(11))
+    assert after.status is LOST
+    np.testing.assert_allclose(after.belief.mean, [0.8 + 0.16 * np.cos(1.0), 0.16 * np.sin(1.0), 1.0], atol=1e-5)
 
 
 class Drifting(Scripted):

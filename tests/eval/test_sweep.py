@@ -185,6 +185,27 @@ def test_a_sweep_that_runs_keeps_its_folder(folder, tmp_path):
     assert len(read_rows(tmp_path / FILE)) == 6
 
 
+def test_an_interrupted_sweep_keeps_the_episodes_that_have_begun(folder, finished, tmp_path):
+    """It says how many of them it waits for, writes each, and its resumption runs the others."""
+    heard = []
+
+    def interrupt(*event):
+        heard.append(event)
+        if event[:2] == ("episodes", 1):
+            raise KeyboardInterrupt
+
+    config = load_config(folder / "sweep.yaml")
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(config, tmp_path, workers=1, on_progress=interrupt)
+    ending = [event[1:] for event in heard if event[0] == "ending"]
+    assert ending == [(done, len(ending) - 1) for done in range(len(ending))]
+    kept = read_rows(tmp_path / FILE)
+    assert len(ending) == len(kept) < 6
+    rows = read_rows(run_sweep(config, tmp_path, resume=True, workers=1))
+    assert rows[: len(kept)] == kept
+    assert untimed(rows) == untimed(read_rows(finished[0]))
+
+
 def test_a_full_disk_ends_a_sweep_with_its_rows_and_resume_ends_it(folder, finished, tmp_path):
     size = len(b"".join(finished[0].read_bytes().splitlines(keepends=True)[:3])) + 10
     config = load_config(folder / "sweep.yaml")

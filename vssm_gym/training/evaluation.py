@@ -15,7 +15,7 @@ from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.aggregate import Interval
-from vssm_gym.eval.sweep.config import DEFAULT_VOXEL, OF_ONE, SweepConfig, check_names
+from vssm_gym.eval.sweep.config import DEFAULT_VOXEL, SweepConfig, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.shipped import POLICIES, shipped
@@ -25,6 +25,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.training.imagined_episodes import imagine, real_return
 
 FILE = "evaluation.json"
+ARGUMENTS = {"scenes": "scene", "agents": "policy"}  # of the command, by fields of a sweep
 METRICS = ("spl", "success", "collisions", "return")
 
 
@@ -82,7 +83,7 @@ def evaluate_policy(
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     voxel = DEFAULT_VOXEL if map_file is None else round(float(VoxelMap.load(map_file).voxel_size), 6)
     config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)), voxel=voxel)
-    check_names(config, "evaluate", OF_ONE)
+    check_names(config, "evaluate", ARGUMENTS)
     log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, map_file=map_file, on_progress=on_progress)
     rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
     task_file, agents_map = files_of(out, scene)

@@ -24,7 +24,7 @@ STAGES = {
     "recording": "driving and recording",
     "map": "building the map",
     "episodes": "running episodes",
-    "ending": "letting the episodes end that are running",
+    "ending": "ending begun episodes",
 }
 
 

@@ -37,6 +37,7 @@ BORDER_MARGIN = 0.02  # m that start and goal keep from the border of free space
 # floor ends at the walls' centre lines, while a closed outer door flush with the outside (ProcTHOR's house_1) leaves a
 # recess behind that line, where the robot penetrates nothing: 1 cm deep in walls of 10 cm, 2 cm in walls of 12 cm.
 START_SLACK = 0.03
+SHIPPED_TASKS = 200  # of each split of a built-in scene
 _PAIRS = 256  # pairs of positions tried for one task before giving up
 
 
@@ -146,7 +147,7 @@ def make_tasks(apartment: Apartment, robot: Robot, n: int, split: Split, seed: i
     return _hashed(tasks)
 
 
-def freeze(apartment: Apartment, robot: Robot, n: int = 200, folder: Path = FROZEN) -> list[Path]:
+def freeze(apartment: Apartment, robot: Robot, n: int = SHIPPED_TASKS, folder: Path = FROZEN) -> list[Path]:
     """Write the files that :func:`task_set` looks for, one a split; for built-in scenes, after they changed."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
