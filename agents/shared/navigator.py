@@ -138,6 +138,7 @@ class Navigator:
             task.recovery.counts[HELD] += 1
             radius = self._assumed_radius(estimate)
             self._meet_obstacle(estimate, self._command, self._radius + radius, radius)
+            task.progress.forget()
         if dithers and (response := self._respond(Failure.STUCK, estimate)) is not None:
             return response
         if not lost and self._is_uncertain(estimate) and (response := self._respond(Failure.UNCERTAIN, estimate)):
@@ -275,7 +276,6 @@ class Navigator:
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self.surroundings.meet(centre, radius)
         self._task.route.path = None
-        self._task.progress.forget()
 
     # --- memory
 

@@ -162,11 +162,20 @@ def test_a_full_map_is_named_where_no_path_is_found(full):
 def test_what_cannot_be_seen_is_in_the_way_of_the_step_that_was_not_taken(frame):
     start = np.array([4.0, 1.0, 0.0])  # it has to turn by a right angle first
     surroundings = Scripted(blind=range(1, 200))
-    decisions = run(surroundings, NavigationConfig(), start=start, direction_frame=frame, steps=40)
+    decisions = run(surroundings, NavigationConfig(), start=start, direction_frame=frame, steps=20)
     k = next(k for k, decision in enumerate(decisions) if BLIND in decision.status)
     ahead = np.array(surroundings.met) - decisions[k].pose[:2]
     assert len(ahead) > 1
     assert np.abs(np.arctan2(ahead[:, 1], ahead[:, 0]) - 0.5 * math.pi).max() < 0.3
+
+
+@pytest.mark.parametrize("config", [NavigationConfig(), CONFIG])
+def test_a_robot_that_never_sees_ahead_is_stuck_and_gives_up(config):
+    """It tries the responses to that, though no step is ever commanded along its path."""
+    decisions = run(Scripted(blind=range(1000)), config, steps=500)
+    assert decisions[-1].gives_up
+    assert "stuck" in decisions[-1].status
+    assert BLIND in decisions[-1].responses
 
 
 def test_a_plan_is_made_before_the_first_step():
