@@ -138,7 +138,6 @@ class Navigator:
             task.recovery.counts[HELD] += 1
             radius = self._assumed_radius(estimate)
             self._meet_obstacle(estimate, self._command, self._radius + radius, radius)
-            task.progress.forget()
         if dithers and (response := self._respond(Failure.STUCK, estimate)) is not None:
             return response
         if not lost and self._is_uncertain(estimate) and (response := self._respond(Failure.UNCERTAIN, estimate)):
@@ -158,6 +157,11 @@ class Navigator:
         if command[2] > 0.0 and not self.surroundings.sees_ahead():
             task.recovery.counts[BLIND] += 1
             self._meet_obstacle(estimate, command, c.blind_distance, c.blind_radius)
+            task.progress.blind += 1
+            if task.progress.blind > c.patience:
+                task.progress.blind = 0
+                if (response := self._respond(Failure.STUCK, estimate)) is not None:
+                    return response
             return f"looking around: {BLIND}", False, still
         if not np.any(command):
             response = self._respond(Failure.BLOCKED, estimate)
@@ -276,6 +280,7 @@ class Navigator:
         centre = estimate.planar[:2] + front * np.array([math.cos(heading), math.sin(heading)])
         self.surroundings.meet(centre, radius)
         self._task.route.path = None
+        self._task.progress.forget()
 
     # --- memory
 

@@ -14,10 +14,12 @@ class Progress:
     Attributes:
         place: ``(2,)`` m, that the robot has not got away from.
         idle: steps that it has driven there.
+        blind: steps there that it did not drive because it saw nothing ahead; other attempts do not make it see.
     """
 
     place: np.ndarray = field(default_factory=lambda: np.full(2, np.inf))
     idle: int = 0
+    blind: int = 0
     _last: tuple[float, np.ndarray] | None = None  # the last driving command, m, and where it was given
     _driven: deque[tuple[float, float]] = field(default_factory=deque)  # m commanded and m moved, of recent ones
 
@@ -45,6 +47,6 @@ class Progress:
     def dithers(self, planar: np.ndarray, away: float, patience: int) -> bool:
         """Return True where the robot drove for more than ``patience`` steps without getting ``away`` (m)."""
         if math.hypot(*(planar[:2] - self.place)) > away:
-            self.place, self.idle = planar[:2].copy(), 0
+            self.place, self.idle, self.blind = planar[:2].copy(), 0, 0
         self.idle += 1
         return self.idle > patience
