@@ -6,6 +6,7 @@ explorers write whole files to ``explored/``: the final maps of the first run of
 """
 
 import hashlib
+import itertools
 import json
 import multiprocessing
 import sys
@@ -291,12 +292,13 @@ def _run(
                 keep(future)
                 report()
         except KeyboardInterrupt:
-            running = [future for future in futures if not future.cancel()]
-            for done, future in enumerate([None, *as_completed(running)]):
+            begun = [future for future in futures if future.running() or future.done()]
+            pool.shutdown(wait=False, cancel_futures=True)  # one that we cancel would break it
+            for done, future in enumerate(itertools.chain([None], as_completed(begun))):
                 if future is not None and future.exception() is None:
                     keep(future)
-                if on_progress and running:
-                    on_progress("ending", done, len(running))
+                if on_progress and begun:
+                    on_progress("ending", done, len(begun))
             raise
         except BrokenProcessPool as error:
             time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
