@@ -299,7 +299,8 @@ def _run(
                     keep(future)
                 if on_progress and begun:
                     on_progress("ending", done, len(begun))
-            raise
+            if len(log.rows) < total:
+                raise
         except BrokenProcessPool as error:
             time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
             if not started.is_set():
