@@ -160,6 +160,28 @@ def test_sigterm_interrupts_and_is_restored(handler):
         signal.signal(signal.SIGINT, outer)
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_an_interruption_in_a_destructor_comes_again(monkeypatch, number):
+    """Python ignores what a destructor raises: a scheduler's signal would be lost in it."""
+
+    class Interrupted:
+        def __del__(self):
+            os.kill(os.getpid(), number)
+            sum(range(10))  # the handler runs here
+
+    outer = signal.signal(signal.SIGINT, signal.default_int_handler)
+    ignored = []
+    monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+    try:
+        with termination_as_interrupt() as code, pytest.raises(KeyboardInterrupt):
+            Interrupted()
+            time.sleep(60.0)
+        assert code() == 128 + number
+    finally:
+        signal.signal(signal.SIGINT, outer)
+    assert ignored == []
+
+
 def test_sigterm_lets_a_training_end_its_update():
     from vssm_gym.training.run import deferred_interrupt
 

@@ -3,9 +3,11 @@
 import contextlib
 import functools
 import inspect
+import os
 import shlex
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
@@ -13,6 +15,9 @@ from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+AGAIN_SECONDS = 0.1  # after which a callback that has swallowed an interruption has ended
 
 
 class Interrupted(KeyboardInterrupt):
@@ -77,7 +82,8 @@ def termination_as_interrupt() -> Iterator[Callable[[], int]]:
     """Let SIGTERM do what Ctrl-C does; the value is a function that returns the exit code of an interruption.
 
     The code is what shells report: 128 and the number of the signal. A shell starts a background job with Ctrl-C
-    ignored; SIGTERM interrupts that one too.
+    ignored; SIGTERM interrupts that one too. An interruption that falls into a callback whose exceptions Python
+    ignores, such as a destructor or one of JAX's garbage collection, comes again after it.
     """
     received = [signal.SIGINT]
 
@@ -86,8 +92,18 @@ def termination_as_interrupt() -> Iterator[Callable[[], int]]:
         handler = signal.getsignal(signal.SIGINT)  # that of a training lets the present update end
         (handler if callable(handler) else signal.default_int_handler)(number, frame)
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    def come_again(ignored: "sys.UnraisableHookArgs") -> None:
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            again = threading.Timer(AGAIN_SECONDS, lambda: os.kill(os.getpid(), received[-1]))
+            again.daemon = True
+            again.start()
+        else:
+            hook(ignored)
+
+    before, hook = signal.signal(signal.SIGTERM, interrupt), sys.unraisablehook
+    sys.unraisablehook = come_again
     try:
         yield lambda: 128 + received[-1]
     finally:
+        sys.unraisablehook = hook
         signal.signal(signal.SIGTERM, before)
