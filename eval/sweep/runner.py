@@ -294,9 +294,10 @@ def _run(
         except KeyboardInterrupt:
             begun = [future for future in futures if future.running() or future.done()]
             pool.shutdown(wait=False, cancel_futures=True)  # one that we cancel would break it
-            for done, future in enumerate(itertools.chain([None], as_completed(begun))):
-                if future is not None and future.exception() is None:
-                    keep(future)
+            ended: Future | None
+            for done, ended in enumerate(itertools.chain([None], as_completed(begun))):
+                if ended is not None and ended.exception() is None:
+                    keep(ended)
                 if on_progress and begun:
                     on_progress("ending", done, len(begun))
             if len(log.rows) < total:
