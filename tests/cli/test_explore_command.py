@@ -69,10 +69,10 @@ def test_a_run_writes_its_video_pictures_and_map(vssm, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--agent", "astar"), "explore: agents: expected one of frontier_gain, "),
+        (("--agent", "astar"), "explore: agent: expected one of frontier_gain, "),
         (("--agent", "frontier_looking"), "expected 'frontier_gain_scan', the present name of that agent; found "),
         (("--agent", "nobody"), "mi_explorer"),
-        (("--scene", "nowhere"), "explore: scenes: expected a built-in scene"),
+        (("--scene", "nowhere"), "explore: scene: expected a built-in scene"),
         (("--noise", "loud"), "explore: noise: expected one of none, low, "),
         (("--start", "100"), "explore: start: expected at most 99, found 100"),
         (("--start", "-1"), "explore: start: "),
