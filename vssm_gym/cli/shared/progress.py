@@ -140,7 +140,7 @@ class Lines:
         while not self._closed.wait(LOG_SECONDS):
             with self._lock:
                 now = time.monotonic()
-                idle = f"progress: working, {_clock(now - self._idle)}"  # it builds, compiles or writes
+                idle = f"progress: building or compiling, {_clock(now - self._idle)}"
                 say(idle if self._stage is None else self._stage.line(now), error=True)
 
 
