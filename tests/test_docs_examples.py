@@ -231,7 +231,6 @@ def taken(name: str, commanded: bool) -> tuple[set[str], set[str]]:
     belief = vg.GaussianBelief(prior.belief.mean, prior.belief.covariance, kind.manifold)
     for read in (members.transition, members.manifold):
         read.clear()
-    jax.clear_caches()  # what is traced already reads nothing
     one = FILTERS[name].make(RIG, transition)
     state = one.init(vg.Posterior(belief, prior.map), see(0), jax.random.key(0))
     for image in (see(1), DARK, see(3 if commanded else 1)):

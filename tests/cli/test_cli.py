@@ -217,6 +217,7 @@ def test_record_and_sweep_print_a_scenes_warnings(vssm, tmp_path):
             "record --scene oak --out {0}/new --motion handheld --noise low",
             "record: noise: expected none with --motion handheld",
         ),
+        ("record --scene oak --out {0}/new --robot wornn", "record: robot: expected one of 'holonomic', 'worn'"),
         ("record --scene oak --out {0}/new --size big", "record: size: expected WIDTHxHEIGHT in pixels"),
         ("record --scene oak --out {0}/new --size 4x3", "CameraConfig: width: expected 8 to 4096 pixels"),
         ("record --scene oak --out {0}/new --sensor-noise loud", "one of none, kinect, stereo"),

@@ -13,6 +13,7 @@ from vssm_gym.data.recording import PROVENANCE, read_provenance, record
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
 from vssm_gym.envs.scenes.specs import scene_name
+from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
 from vssm_gym.maps.cell_centres import cell_centres
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap, read_metadata
@@ -73,6 +74,19 @@ def test_the_same_seed_records_the_same_bytes(recording, tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (recording[0] / name).read_bytes()
     sequence, again = load_sequence(recording[0]), load_sequence(tmp_path / "again")
     np.testing.assert_array_equal(iio.imread(sequence.frames[40].depth), iio.imread(again.frames[40].depth))
+
+
+def test_the_commands_of_a_worn_robot_are_not_its_motion(recording, tmp_path):
+    """Along its way it makes 85 % of the metres that it is told, and turns 80 % of the angles."""
+    camera = CameraConfig(16, 12)
+    record(recording[0].parent / "rooms.json", tmp_path / "worn", robot="worn", noise="none", camera=camera)
+    sequence = load_sequence(tmp_path / "worn")
+    poses, (turns, _, steps) = sequence.true_poses(), sequence.controls[:, 1:].T
+    moved = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1).sum()
+    turned = np.ptp(np.unwrap(np.arctan2(poses[:, 1, 2], poses[:, 0, 2])))
+    assert moved == pytest.approx(0.85 * steps.sum(), rel=0.03)
+    assert turned == pytest.approx(0.8 * np.ptp(np.cumsum(turns)), rel=0.1)
+    assert read_provenance(tmp_path / "worn")["robot"] == "worn"
 
 
 def test_a_recording_is_never_overwritten(recording):

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from vssm_gym.envs.sensors import CameraConfig
 
 OWNERS = {  # the motions that an option belongs to
+    "robot": ("survey",),
     "noise": ("survey", "flight"),
     "metres": ("handheld",),
     "rate": ("handheld", "flight"),
@@ -24,6 +25,7 @@ def record(
     scene: str,
     out: Path,
     motion: Literal["survey", "handheld", "flight"] = "survey",
+    robot: str | None = None,
     noise: str | None = None,
     sensor_noise: str = "none",
     metres: float | None = None,
@@ -44,6 +46,7 @@ def record(
         scene: built-in name (oak) or path of a scene file.
         out: new or empty folder; it appears when the recording is complete.
         motion: the body that carries the camera.
+        robot: that surveys: holonomic (default), or worn, whose drive responds late, too little and to one side.
         noise: execution noise of a survey, or gusts of a flight: none, low (default), mid or high. The recorded poses
             are the true ones.
         sensor_noise: none (exact images), kinect or stereo.
@@ -64,7 +67,8 @@ def record(
 
     check_at_least("record", "seed", seed, 0)
     check_folder(out)
-    given = {"noise": noise, "metres": metres, "rate": rate, "flight": flight, "speed": speed, "yaw": yaw}
+    given = {"robot": robot, "noise": noise, "metres": metres, "rate": rate}
+    given |= {"flight": flight, "speed": speed, "yaw": yaw}
     for name, owners in OWNERS.items():
         if given[name] is not None and motion not in owners:
             raise InputError("record", name, f"none with --motion {motion}: it belongs to {' and '.join(owners)}")
@@ -77,6 +81,7 @@ def record(
             frames = recording.record(
                 scene,
                 out,
+                robot=robot or "holonomic",
                 noise=noise or "low",
                 sensor_noise=sensor_noise,
                 camera=camera,

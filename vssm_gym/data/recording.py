@@ -23,6 +23,7 @@ from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.envs.tasks.survey import Waypoint, survey_route
+from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_json
 from vssm_gym.files.output_folders import check_new_folder, whole_folder
@@ -32,6 +33,7 @@ from vssm_gym.planning.pursuit import steer
 from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
+SURVEYORS = ("holonomic", "worn")  # robots whose commands are a turn, a direction and a step
 WAYPOINT_REACHED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
@@ -39,6 +41,7 @@ def record(
     scene: str | Path,
     out: Path,
     *,
+    robot: str = "holonomic",
     noise: str = "low",
     sensor_noise: str = "none",
     camera: CameraConfig | None = None,
@@ -50,6 +53,7 @@ def record(
     Args:
         scene: built-in name or path of a scene file.
         out: new or empty folder; written atomically.
+        robot: that drives: a name of :data:`SURVEYORS`.
         noise: execution noise of the drive; the recorded poses are the true ones.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
@@ -60,11 +64,19 @@ def record(
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
     check_new_folder(out)
+    choose("record", "robot", robot, SURVEYORS)
     env = PointNavEnv(
-        scene=str(scene), noise=noise, sensor_noise=sensor_noise, camera=camera, observe_pose=True, reward="sparse"
+        scene=str(scene),
+        robot=robot,
+        noise=noise,
+        sensor_noise=sensor_noise,
+        camera=camera,
+        observe_pose=True,
+        reward="sparse",
     )
     route = survey_route(env.apartment, env.robot, seed)
-    about = {"motion": "survey", "noise": noise, "sensor_noise": sensor_noise, "renderer": env.renderer_name}
+    about = {"motion": "survey", "robot": robot, "noise": noise, "sensor_noise": sensor_noise}
+    about |= {"renderer": env.renderer_name}
     try:
         with folder_for(out, env.apartment, about | {"seed": seed}) as unfinished:
             return _drive(env, route, unfinished, seed, on_progress)

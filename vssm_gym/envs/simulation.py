@@ -125,6 +125,7 @@ class Simulation:
         self.streams: dict[str, np.random.Generator] = {}
         self.path_length = 0.0  # m driven since the robot was placed
         self.path: list[np.ndarray] = []  # its positions
+        self._reached = self.rest  # what the drive has reached of the commands
         self._K, self._T_body_cam = self.camera.K, self.robot.T_body_cam
         self._form, self._actions = actions, self._actions_of(actions, stops=True)
         self._body: GroundBody | None = None  # the robot as it is, for the sensors
@@ -240,13 +241,15 @@ class Simulation:
         """Start an episode with the robot at ``(x, y, heading)``, m and rad."""
         self.world.reset(start)
         self.path_length, self.path = 0.0, [self.planar[:2]]
+        self._reached = self.rest
         self._body = None
         self.sensors.begin(self.body)
 
     def drive(self, command: np.ndarray) -> bool:
         """Carry out a command for one step of ``robot.dt`` s, noise and contacts included; return True on collision."""
         before = self.planar
-        collision = self.world.drive(self.robot.execute(before, command, self.noise, self.streams["dynamics"]))
+        self._reached, carried_out = self.robot.respond(self._reached, command)
+        collision = self.world.drive(self.robot.execute(before, carried_out, self.noise, self.streams["dynamics"]))
         after = self.planar[:2]
         self.path_length += float(np.hypot(*(after - before[:2])))
         self.path.append(after)

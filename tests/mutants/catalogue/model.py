@@ -9,7 +9,7 @@ BICYCLE, WHEELS, PLANAR = (
     "tests/model/test_differential.py",
     "tests/model/test_transition.py",
 )
-ROBOTS = "tests/envs/test_robots.py"
+ROBOTS = "tests/envs/robots/test_holonomic.py"
 LEARNED, OBJECTIVE = "tests/model/test_learned_transition.py", "tests/training/dynamics/test_objective.py"
 
 MODEL = (

@@ -64,6 +64,14 @@ class Robot(Protocol):
     def parse_noise(self, level: str | Mapping[str, Any] | Any) -> Any:
         """Return the execution noise of a level's name, of a mapping of its fields, or the noise itself."""
 
+    def respond(self, reached: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the drive has reached after a step, and the command that it carries out in that step.
+
+        Args:
+            reached: before the step; zero where the robot stands.
+            command: as commanded.
+        """
+
     def execute(self, planar: PlanarPose, command: np.ndarray, noise: Any, rng: np.random.Generator) -> PlanarPose:
         """Execute one noisy step in free space; every call draws the same amount from ``rng``."""
 

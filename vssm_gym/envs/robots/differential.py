@@ -100,6 +100,10 @@ class DifferentialRobot:
         """Return the noise of a named level, of a mapping of its fields, or the noise itself."""
         return execution_noise(level)
 
+    def respond(self, reached: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the command twice: the wheels follow it at once."""
+        return command, command
+
     def execute(
         self, planar: PlanarPose, command: np.ndarray, noise: DifferentialExecutionNoise, rng: np.random.Generator
     ) -> PlanarPose:

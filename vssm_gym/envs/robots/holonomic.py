@@ -10,6 +10,7 @@ import numpy as np
 from vssm_gym.envs.presets import Presets
 from vssm_gym.envs.robots.base import camera_ahead
 from vssm_gym.envs.robots.biased_noise import BIASED_LEVELS, BiasedExecutionNoise
+from vssm_gym.envs.robots.drive_response import DriveResponse
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import DirectionFrame, Matrix4, PlanarPose
@@ -36,11 +37,14 @@ class HolonomicRobot:
     max_step: float = 0.16  # m a step, 0 <= s <= max_step: 0.8 body lengths
     dt: float = 0.2  # s
     direction_frame: DirectionFrame = "body"  # of o; in the world frame |o| <= pi
+    response: DriveResponse | None = None  # of the drive to commands, in the body frame; None: it carries them out
 
     commands: ClassVar[tuple[str, ...]] = ("turn", "o", "s")
 
     def __post_init__(self) -> None:
         choose("HolonomicRobot", "direction_frame", self.direction_frame, DIRECTION_FRAMES)
+        if self.direction_frame == "world" and self.response is not None:
+            raise InputError("HolonomicRobot", "direction_frame", "'body': a drive follows commands in its own frame")
 
     @property
     def radius(self) -> float:
@@ -88,6 +92,13 @@ class HolonomicRobot:
         A mapping has the fields of :class:`ExecutionNoise`.
         """
         return level if isinstance(level, BiasedExecutionNoise) else holonomic_noise(level)
+
+    def respond(self, reached: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the drive has reached after a command, and what it carries out; see :class:`DriveResponse`."""
+        if self.response is None:
+            return command, command
+        reached = self.response.follow(reached, command, self.dt)
+        return reached, self.response.carried_out(reached)
 
     def execute(
         self, planar: PlanarPose, command: np.ndarray, noise: "HolonomicNoise", rng: np.random.Generator
