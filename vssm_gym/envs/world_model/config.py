@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Literal
 
 from vssm_gym.envs.robots import ExecutionNoise, execution_noise
@@ -11,6 +12,8 @@ from vssm_gym.envs.sensors import CameraConfig, camera_config
 from vssm_gym.envs.validation import choose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.scan import MAX_DEPTH
+from vssm_gym.model.transition.learned import LearnedTransition
+from vssm_gym.model.transition.learned_file import load_transition
 
 SOURCE = "WorldModelNav"
 # Keywords of the constructors that are not fields of Imagination
@@ -32,7 +35,9 @@ class Imagination:
         robot: ``holonomic`` stands for PointNav, ``car`` for CarNav with ``targets="points"``.
         observation: ``scan``, ``depth`` or ``rgbd``.
         noise: a noise level of the real environment, its noise dataclass, or a pair of them, between which each
-            episode draws its own.
+            episode draws its own; a learned ``transition`` has its own instead.
+        transition: file of a transition that `vssm-gym train-dynamics` has learned from drives of the real robot; None:
+            the law of the robot's kind.
         camera: intrinsics of images; a scan takes its field of view.
         max_depth: range of the sensor, m; farther surfaces give no reading.
         end_on: as PointNav's keyword; a car always ends on arrival.
@@ -53,6 +58,7 @@ class Imagination:
     robot: Literal["holonomic", "car"] = "holonomic"
     observation: Literal["scan", "depth", "rgbd"] = "scan"
     noise: Any = "low"
+    transition: str | Path | None = None
     camera: CameraConfig | Mapping[str, Any] | None = None
     max_depth: float = MAX_DEPTH
     end_on: Literal["stop", "reach"] = "stop"
@@ -88,6 +94,8 @@ class Imagination:
                 raise InputError(SOURCE, name, f"a number from 0 to {limit:g}; found {value!r:.80}")
         if not isinstance(self.show_uncertainty, bool):
             raise InputError(SOURCE, "show_uncertainty", f"True or False; found {self.show_uncertainty!r:.80}")
+        if self.transition is not None and not isinstance(self.transition, str | Path):
+            raise InputError(SOURCE, "transition", f"a file of vssm-gym train-dynamics; found {self.transition!r:.80}")
         object.__setattr__(self, "camera", CameraConfig(64, 48) if self.camera is None else camera_config(self.camera))
         self.noise_range()
 
@@ -100,6 +108,18 @@ class Imagination:
                 expected = f"one of its keywords: {', '.join((OWN[0], *names, *OWN[1:]))}"
                 raise InputError(SOURCE, name, expected)
         return cls(**keywords)
+
+    def learned(self) -> LearnedTransition | None:
+        """Read the learned transition; raise :class:`InputError` where it is of another robot."""
+        if self.transition is None:
+            return None
+        transition, kind, _ = load_transition(self.transition)
+        if kind != self.robot:
+            raise InputError(self.transition, "kind", f"{self.robot}, the robot of this environment; found {kind}")
+        if transition.further:
+            expected = f"{transition.nominal.controls} controls, those of the robot; found {transition.controls}"
+            raise InputError(self.transition, "further", expected)
+        return transition
 
     def noise_range(self) -> tuple[Any, Any]:
         """Return the two ends of the noise range, :class:`ExecutionNoise` or :class:`CarNoise`."""

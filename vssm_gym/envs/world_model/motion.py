@@ -6,6 +6,10 @@ Car: the mean of :class:`~vssm_gym.model.transition.bicycle.Bicycle` for the ser
 a first-order lag, ``v' = a + (v - a) exp(-dt / lag)``, with the set point ``a = gain u (1 + jitter e)``; the arc is
 that of the mean speed and steering over the step. Gain and trim belong to the car and are drawn with the episode
 (:mod:`vssm_gym.envs.robots.car_noise`). Not modelled: backlash, voltage droop, the servo's rate limit, and tyre slip.
+
+Learned: a draw of :class:`~vssm_gym.model.transition.learned.LearnedTransition`, whose rest goes on from step to step.
+
+A law says where a robot would come in free space (:class:`Aim`); what obstacles make of it is the same for all laws.
 """
 
 from typing import NamedTuple
@@ -17,59 +21,84 @@ from vssm_gym.envs.world_model.collision_map import CollisionMap, disc_clearance
 from vssm_gym.geometry.car import Car
 from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.transition.bicycle import Bicycle
-from vssm_gym.model.transition.planar import Planar
+from vssm_gym.model.transition.learned import LearnedTransition
+from vssm_gym.model.transition.with_rest import RestState
 
 DISCS = 3  # along the car's middle that cover its footprint
+
+
+class Aim(NamedTuple):
+    """Hold where a law moves n robots in free space."""
+
+    planar: Float[Array, "n 3"]  # x, y (m), heading (rad)
+    drive: Float[Array, "n d"]  # inner state of the drive, of the law's own form
 
 
 class Motion(NamedTuple):
     """Hold the result of one step of n robots."""
 
     planar: Float[Array, "n 3"]  # x, y (m), heading (rad)
-    servos: Float[Array, "n 4"]  # of a car: speed (m/s), steering (rad), gain, trim (rad)
+    drive: Float[Array, "n d"]
     collision: Bool[Array, "n"]
 
 
-def drive_holonomic(
-    collision_map: CollisionMap,
-    which: Int[Array, "n"],
-    planar: Float[Array, "n 3"],
-    command: Float[Array, "n 3"],
-    transition: Planar,
-    normal: Float[Array, "n 2"],
-    radius: float,
-) -> Motion:
-    """Move discs of ``radius`` m by one step; they slide along obstacles."""
-    aim = transition.executed(planar, command, normal)
-    x, y = planar[:, 0], planar[:, 1]
-    x, y, collided = slide(collision_map, which, x, y, aim[:, 0] - x, aim[:, 1] - y, radius)
-    return Motion(jnp.stack([x, y, aim[:, 2]], axis=-1), jnp.zeros((*x.shape, 4)), collided)
-
-
-def drive_car(
-    collision_map: CollisionMap,
-    which: Int[Array, "n"],
+def aim_by_servos(
     planar: Float[Array, "n 3"],
     command: Float[Array, "n 2"],
     servos: Float[Array, "n 4"],
     noise: Float[Array, "n 6"],
     normal: Float[Array, "n 2"],
     transition: Bicycle,
-    car: Car,
-) -> Motion:
-    """Move cars by one step; a car that would come to overlap an obstacle stays in place and loses its speed."""
+    dt: float,
+) -> Aim:
+    """Return the arc of a car whose servos, (speed m/s, steering rad, gain, trim rad), follow the command."""
     speed, steering, gain, trim = (servos[:, i] for i in range(4))
     aim_speed = gain * command[:, 0] * (1.0 + noise[:, 4] * normal[:, 0])
     aim_steering = command[:, 1] + trim + noise[:, 5] * normal[:, 1]
-    speed, mean_speed = _follow(speed, aim_speed, noise[:, 0], car.dt)
-    steering, mean_steering = _follow(steering, aim_steering, noise[:, 1], car.dt)
-    aim = transition.mean(planar, jnp.stack([mean_speed, mean_steering], axis=-1), car.dt)
-    before, after = car_clearance(collision_map, which, planar, car), car_clearance(collision_map, which, aim, car)
+    speed, mean_speed = _follow(speed, aim_speed, noise[:, 0], dt)
+    steering, mean_steering = _follow(steering, aim_steering, noise[:, 1], dt)
+    aim = transition.mean(planar, jnp.stack([mean_speed, mean_steering], axis=-1), dt)
+    return Aim(aim, jnp.stack([speed, steering, gain, trim], axis=-1))
+
+
+def aim_by_learned(
+    planar: Float[Array, "n 3"],
+    command: Float[Array, "n m"],
+    rest: Float[Array, "n r"],
+    normal: Float[Array, "n d"],
+    transition: LearnedTransition,
+    dt: float,
+) -> Aim:
+    """Return a draw of the learned transition, with its noise; ``normal`` is one number for each of its errors."""
+    step = transition.step(RestState(planar, rest), command, dt)
+    drawn = transition.perturb_in_body_axes(step.mean, step.stds * normal)
+    return Aim(drawn.body, drawn.rest)
+
+
+def slide_disc(
+    collision_map: CollisionMap, which: Int[Array, "n"], planar: Float[Array, "n 3"], aim: Aim, radius: float
+) -> Motion:
+    """Move discs of ``radius`` m to where they aim; they slide along obstacles."""
+    x, y = planar[:, 0], planar[:, 1]
+    x, y, collided = slide(collision_map, which, x, y, aim.planar[:, 0] - x, aim.planar[:, 1] - y, radius)
+    return Motion(jnp.stack([x, y, aim.planar[:, 2]], axis=-1), aim.drive, collided)
+
+
+def block_car(
+    collision_map: CollisionMap,
+    which: Int[Array, "n"],
+    planar: Float[Array, "n 3"],
+    aim: Aim,
+    stopped: Float[Array, "n d"],
+    car: Car,
+) -> Motion:
+    """Move cars to where they aim; one that would come to overlap an obstacle stays, its drive at ``stopped``."""
+    before = car_clearance(collision_map, which, planar, car)
+    after = car_clearance(collision_map, which, aim.planar, car)
     # A car that overlaps already (its start was drawn in another sample of the map) may leave.
     blocked = (after < 0.0) & (after < before)
-    planar = jnp.where(blocked[:, None], planar, aim)
-    servos = jnp.stack([jnp.where(blocked, 0.0, speed), steering, gain, trim], axis=-1)
-    return Motion(planar, servos, blocked)
+    keep = lambda held, moved: jnp.where(blocked[:, None], held, moved)
+    return Motion(keep(planar, aim.planar), keep(stopped, aim.drive), blocked)
 
 
 def disc_radius(car: Car) -> float:

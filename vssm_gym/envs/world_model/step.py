@@ -18,12 +18,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from vssm_gym.envs.world_model.goal_distance import REACHABLE_DISTANCE
-from vssm_gym.envs.world_model.motion import Motion, drive_car, drive_holonomic, estimated_pose
+from vssm_gym.envs.world_model.motion import (
+    Aim,
+    Motion,
+    aim_by_learned,
+    aim_by_servos,
+    block_car,
+    estimated_pose,
+    slide_disc,
+)
 from vssm_gym.envs.world_model.world import ImaginedWorld, Robot
 from vssm_gym.geometry.car import Car
 from vssm_gym.model.transition import Bicycle, MotionNoise, Planar
 
-_NORMALS = 5  # a step: two for the motion, three for the pose estimate
+SERVOS = 4  # numbers of a car's servos: speed, steering, gain, trim
+MOTION_NORMALS = 2  # a step, of a robot whose law is written down; a learned law has one for each of its errors
 
 
 class BatchState(eqx.Module):
@@ -34,7 +43,7 @@ class BatchState(eqx.Module):
     planar: Float[Array, "n 3"]  # x, y (m), heading (rad)
     error: Float[Array, "n 3"]  # of the estimate: forward, left (m), turn (rad)
     variance: Float[Array, "n 3"]  # of that error
-    servos: Float[Array, "n 4"]  # of a car
+    drive: Float[Array, "n d"]  # inner state of the drive: servos of a car, the rest of a learned transition
     noise: Float[Array, "n parameters"]  # of this episode
     which: Int[Array, "n"]  # map of this episode
     task: Int[Array, "n"]  # of the pool
@@ -60,8 +69,9 @@ def empty_state(world: ImaginedWorld, n: int) -> BatchState:
     """Return the state of n robots before their first episode."""
     zeros = lambda *shape: jnp.zeros((n, *shape), jnp.float32)
     count = lambda: jnp.zeros(n, jnp.int32)  # one array each: the step donates the memory of all
+    drive = zeros(SERVOS if world.transition is None else world.transition.size)
     return BatchState(
-        jnp.zeros((n, 2), jnp.uint32), count(), zeros(3), zeros(3), zeros(3), zeros(4), zeros(world.noise.shape[1]),
+        jnp.zeros((n, 2), jnp.uint32), count(), zeros(3), zeros(3), zeros(3), drive, zeros(world.noise.shape[1]),
         count(), count(), zeros(), count(), jnp.ones(n, bool),
     )  # fmt: skip
 
@@ -72,14 +82,15 @@ def step(
     """Carry out ``action``; robots whose episode has ended begin their next one instead, with reward 0."""
     begun, rules = state.ended, world.rules
     keys = jax.vmap(jax.random.fold_in)(state.key, state.draws)
-    normal = jax.vmap(lambda key: jax.random.normal(key, (_NORMALS,)))(keys)
-    moved, stopped, command = _act(robot, world, state, action, normal)
+    errors = MOTION_NORMALS if world.transition is None else len(world.transition.manifold.turns)
+    normal = jax.vmap(lambda key: jax.random.normal(key, (errors + 3,)))(keys)
+    moved, stopped, command = _act(robot, world, state, action, normal[:, :errors])
     rho, spread = world.pose_memory, 1.0 - world.pose_memory**2
     after = BatchState(
         state.key, state.draws + 1, moved.planar,
-        rho * state.error + jnp.sqrt(spread) * world.pose_std * normal[:, 2:],
+        rho * state.error + jnp.sqrt(spread) * world.pose_std * normal[:, errors:],
         rho**2 * state.variance + spread * world.pose_std**2,
-        moved.servos, state.noise, state.which, state.task, state.potential, state.steps + 1, state.ended,
+        moved.drive, state.noise, state.which, state.task, state.potential, state.steps + 1, state.ended,
     )  # fmt: skip
     goal = world.goal_distances.goals[world.pool.goal[state.task]]
     arrived = jnp.hypot(*(moved.planar[:, :2] - goal).T) <= rules.success_radius
@@ -119,14 +130,18 @@ def begin(robot: Robot, world: ImaginedWorld, state: BatchState, task: Int[Array
     c, s = jnp.cos(heading), jnp.sin(heading)
     x, y = start[:, 0] - c * error[:, 0] + s * error[:, 1], start[:, 1] - s * error[:, 0] - c * error[:, 1]
     planar = estimated_pose(jnp.stack([x, y, heading], axis=-1), jnp.zeros_like(error))
-    servos = jnp.zeros((*which.shape, 4))
-    if isinstance(robot, Car):
+    if world.transition is not None:  # what it did before is not known: the rest is a draw of its prior
+        rest = (world.transition.size,)
+        drive = jax.vmap(lambda key: jax.random.normal(jax.random.fold_in(key, 1), rest))(keys)
+    elif isinstance(robot, Car):
         trim = noise[:, 3] * normal[:, 4]
-        servos = jnp.stack([jnp.zeros_like(trim), trim, 1.0 + noise[:, 2] * normal[:, 3], trim], axis=-1)
+        drive = jnp.stack([jnp.zeros_like(trim), trim, 1.0 + noise[:, 2] * normal[:, 3], trim], axis=-1)
+    else:
+        drive = jnp.zeros((*which.shape, SERVOS))
     zero, variance = jnp.zeros_like(which), jnp.broadcast_to(world.start_std**2, error.shape)
     potential = world.goal_distances.at(world.pool.goal[task], x, y)
     return BatchState(
-        state.key, state.draws + 1, planar, error, variance, servos, noise, which, task, potential, zero,
+        state.key, state.draws + 1, planar, error, variance, drive, noise, which, task, potential, zero,
         jnp.zeros_like(state.ended),
     )  # fmt: skip
 
@@ -179,17 +194,24 @@ def _act(
 ) -> tuple[Motion, Bool[Array, "n"], Float[Array, "n command"]]:
     """Carry out the commands; return the motion, which robots stopped, and the clipped commands."""
     command = jnp.clip(action[:, : len(world.low)], world.low, world.high)
-    if isinstance(robot, Car):
+    stopped = jnp.zeros(len(command), bool)
+    if not isinstance(robot, Car):
+        stopped = (action[:, 3] > 0.5) & world.rules.stops
+        command = jnp.where(stopped[:, None], 0.0, command)  # a stop carries out nothing else
+    if world.transition is not None:
+        aim = aim_by_learned(state.planar, command, state.drive, normal, world.transition, robot.dt)
+        aim = Aim(jnp.where(stopped[:, None], state.planar, aim.planar), aim.drive)
+    elif isinstance(robot, Car):
         bicycle = Bicycle(wheelbase=robot.wheelbase)
-        bodies = (world.collision_map, state.which, state.planar, command)
-        moved = drive_car(*bodies, state.servos, state.noise, normal[:, :2], bicycle, robot)
-        return moved, jnp.zeros_like(moved.collision), command
-    stopped = (action[:, 3] > 0.5) & world.rules.stops
-    command = jnp.where(stopped[:, None], 0.0, command)  # a stop carries out nothing else
-    planar = Planar(MotionNoise(state.noise[:, 0], state.noise[:, 1]))
-    moved = drive_holonomic(
-        world.collision_map, state.which, state.planar, command, planar, normal[:, :2], robot.radius
-    )
+        aim = aim_by_servos(state.planar, command, state.drive, state.noise, normal, bicycle, robot.dt)
+    else:
+        planar = Planar(MotionNoise(state.noise[:, 0], state.noise[:, 1]))
+        aim = Aim(planar.executed(state.planar, command, normal), state.drive)
+    if isinstance(robot, Car):
+        standing = aim.drive.at[:, 0].set(0.0) if world.transition is None else jnp.zeros_like(aim.drive)
+        moved = block_car(world.collision_map, state.which, state.planar, aim, standing, robot)
+    else:
+        moved = slide_disc(world.collision_map, state.which, state.planar, aim, robot.radius)
     return moved, stopped, command
 
 

@@ -25,6 +25,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.map_samples import sample_map
+from vssm_gym.model.transition.learned import LearnedTransition
 
 UNKNOWN_COST = 0.05  # reward lost in a step in unobserved space, with unknown="penalised"
 
@@ -51,6 +52,7 @@ class ImaginedWorld(eqx.Module):
     view: ImaginedCamera
     maps: int = eqx.field(static=True)  # number of maps, of which an episode takes one
     noise: Float[Array, "2 parameters"]  # ends of the range that episodes draw from
+    transition: LearnedTransition | None  # that moves the robots; None: the law of the robot's kind
     low: Float[Array, "action"]  # least and largest command
     high: Float[Array, "action"]
     start_std: Float[Array, "3"]  # m, m, rad
@@ -108,6 +110,7 @@ def build_world(source: Any, config: Imagination, robot: Robot, max_steps: int) 
         view=view,
         maps=len(maps),
         noise=device(noise),
+        transition=config.learned(),
         low=device(low),
         high=device(robot.limits),
         start_std=device(config.start_std),
