@@ -29,13 +29,13 @@ from vssm_gym.planning.car import reeds_shepp
 
 __all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
-KEYWORDS = tuple(name for name in WORLD if name != "direction_frame")  # of a condition
+KEYWORDS = tuple(name for name in WORLD if name not in ("robot", "direction_frame"))  # of a condition
 MOVING_SPEED = 0.05  # m/s: slower commands count as standing when direction changes are counted
 
 
 def conditions() -> Mapping[str, Sequence[str]]:
     """Return the names that a configuration may hold for the car."""
-    own = {"noise": tuple(NOISE_LEVELS), "direction_frame": ("body",)}
+    own = {"robot": ("car",), "noise": tuple(NOISE_LEVELS), "direction_frame": ("body",)}
     return {**shared.conditions(), **own}
 
 

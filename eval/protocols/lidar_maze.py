@@ -26,7 +26,7 @@ def scene_names() -> Sequence[str]:
 
 def conditions() -> Mapping[str, Sequence[str]]:
     """Return the names that a configuration may hold; ranges are always ray-cast."""
-    own = {"renderer": ("raycast",), "direction_frame": ("body",)}
+    own = {"robot": ("disc",), "renderer": ("raycast",), "direction_frame": ("body",)}
     return {"noise": tuple(MOTION_NOISE), "sensor_noise": tuple(RANGE_NOISE), **own}
 
 

@@ -30,7 +30,7 @@ class EpisodeProtocol(Protocol):
         ...
 
     def conditions(self) -> Mapping[str, Sequence[str]]:
-        """Return the names that ``noise``, ``sensor_noise``, ``renderer`` and ``direction_frame`` may take."""
+        """Return the names that a condition may have: robot, noise, sensor noise, renderer, direction frame."""
         ...
 
     def load(self, scene: str) -> "Apartment":

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import gymnasium as gym
 
 from vssm_gym.envs.robots import DIRECTION_FRAMES, HOLONOMIC_NOISES, HolonomicRobot
+from vssm_gym.envs.robots.registry import HOLONOMIC_ROBOTS
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import Apartment, built_in_scenes, load_scene
 from vssm_gym.envs.sensors import RENDERERS
@@ -21,7 +22,7 @@ from vssm_gym.eval.episodes.identity import Condition
 
 S = TypeVar("S", TaskSet, CarTaskSet)
 # Fields of a condition that are keywords of environments
-WORLD = ("scene", "noise", "sensor_noise", "renderer", "direction_frame")
+WORLD = ("scene", "robot", "noise", "sensor_noise", "renderer", "direction_frame")
 
 
 def scene_names() -> Sequence[str]:
@@ -32,6 +33,7 @@ def scene_names() -> Sequence[str]:
 def conditions() -> Mapping[str, Sequence[str]]:
     """Return the names that a configuration may hold for the holonomic robot in an apartment."""
     return {
+        "robot": HOLONOMIC_ROBOTS,
         "noise": tuple(HOLONOMIC_NOISES),
         "sensor_noise": tuple(PRESETS),
         "renderer": tuple(RENDERERS),

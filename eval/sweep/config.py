@@ -173,7 +173,6 @@ def check_names(config: SweepConfig, source: object, arguments: Mapping[str, str
         raise InputError(source, named("agents"), "policies that differ from each other; two of these are the same")
     known: dict[str, Sequence[str]] = {
         "agents": able,
-        "robot": (spec.robot,),
         **protocol.conditions(),
         "physics": spec.physics,
     }

@@ -5,7 +5,9 @@ import json
 import subprocess
 import sys
 
+import equinox as eqx
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import vssm_gym  # noqa: F401  (registers the ids)
@@ -15,9 +17,13 @@ from vssm_gym.agents.base import ANY_TASK
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.registry import AGENTS, make_agent
 from vssm_gym.envs.registration import ENVIRONMENTS
+from vssm_gym.envs.robots.drive_response import WORN
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.identity import Condition
 from vssm_gym.eval.episodes.log import FILE, read_rows
+from vssm_gym.eval.protocols import shared
+from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, EpisodeProtocol, protocol_of, view_of
 from vssm_gym.eval.report.view import View
 from vssm_gym.eval.sweep.config import load_config
@@ -48,9 +54,25 @@ def test_every_protocol_has_the_functions_of_the_contract(name):
     offered = {method for method in vars(EpisodeProtocol) if not method.startswith("_")}
     assert {method for method in offered if callable(getattr(protocol, method, None))} == offered
     assert isinstance(view_of(name), View)
-    assert {"noise", "sensor_noise", "renderer", "direction_frame"} == protocol.conditions().keys()
+    assert {"robot", "noise", "sensor_noise", "renderer", "direction_frame"} == protocol.conditions().keys()
+    assert protocol.conditions()["robot"][0] == spec.robot
     assert protocol.scene_names()
     assert any(agent.robot == spec.robot and agent.task in (spec.task, ANY_TASK) for agent in AGENTS.values())
+
+
+@pytest.mark.parametrize("name", [name for name, spec in SWEPT_ENVIRONMENTS.items() if spec.robot == "holonomic"])
+def test_a_condition_names_the_robot_that_drives(name):
+    """The agents of the holonomic robot drive the worn one too, and are not told which one it is."""
+    fields = {"noise": "none", "sensor_noise": "none", "renderer": "raycast", "physics": "mujoco"}
+    contexts = []
+    for robot, response in (("holonomic", None), ("worn", WORN)):
+        env = shared.world(Condition(name, "fern", robot, **fields))
+        _, info = env.reset(seed=0)
+        world = getattr(env.unwrapped, "navigation", env.unwrapped)
+        assert world.simulation.robot.response == response
+        contexts.append(agent_context(env, info))
+    assert eqx.tree_equal(contexts[0].transition, contexts[1].transition)
+    np.testing.assert_array_equal(contexts[0].limits, contexts[1].limits)
 
 
 def test_every_agent_has_an_episode_protocol():

@@ -15,7 +15,9 @@ def evaluate(
     out: Path,
     scene: str = "oak",
     tasks: int = 100,
+    robot: str = "holonomic",
     noise: str = "low",
+    transition: Path | None = None,
     map: Path | None = None,
     resume: bool = False,
     workers: int = 2,
@@ -32,7 +34,10 @@ def evaluate(
         out: new or empty folder for the results.
         scene: built-in name or path of a scene file.
         tasks: number of the scene's test tasks.
+        robot: that drives in the simulator: holonomic, or worn, whose drive lags and slips.
         noise: execution noise: none, low, mid, high or locobot.
+        transition: file of `vssm-gym train-dynamics` by which robots move in imagination; by default they move as the
+            holonomic robot does.
         map: map file in which the policy's agent tracks its pose and in which the tasks are imagined, such as the one
             trained in; by default one is learned from a recorded drive.
         resume: continue the same evaluation in OUT.
@@ -62,14 +67,16 @@ def evaluate(
             out,
             scene=scene,
             tasks=tasks,
+            robot=robot,
             noise=noise,
+            transition=transition,
             map_file=map,
             resume=resume,
             workers=workers,
             seed=seed,
             on_progress=progress,
         )
-    title = f"{found.label} · {scene} · {noise} · {tasks} tasks; in brackets 95 % intervals"
+    title = f"{found.label} · {scene} · {robot} · {noise} · {tasks} tasks; in brackets 95 % intervals"
     table = Table(title=title, title_justify="left", box=None)
     worlds = {"real": found.real, "imagined": found.imagined, "imagined - real": found.gap}
     shown = {name: means for name, means in worlds.items() if means is not None}
@@ -88,7 +95,17 @@ def evaluate(
 
         path = out / f"task-{video}.mp4"
         with progress_bars() as progress:
-            both = record_runs(policy, out, scene=scene, task=video, noise=noise, seed=seed, on_progress=progress)
+            both = record_runs(
+                policy,
+                out,
+                scene=scene,
+                task=video,
+                robot=robot,
+                noise=noise,
+                transition=transition,
+                seed=seed,
+                on_progress=progress,
+            )
             write_video(path, both, progress)
         say(f"video: {path}")
     say(f"next: vssm-gym report {out}")

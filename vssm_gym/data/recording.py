@@ -16,6 +16,7 @@ import numpy as np
 from vssm_gym.data.handheld import walk
 from vssm_gym.data.sequences import SequenceWriter
 from vssm_gym.envs.pointnav import PointNavEnv
+from vssm_gym.envs.robots.registry import HOLONOMIC_ROBOTS
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import CameraConfig, make_camera, rgbd_noise
 from vssm_gym.envs.sensors.rgbd_noise import NoisySensor
@@ -33,7 +34,6 @@ from vssm_gym.planning.pursuit import steer
 from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
-SURVEYORS = ("holonomic", "worn")  # robots whose commands are a turn, a direction and a step
 WAYPOINT_REACHED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
@@ -53,7 +53,7 @@ def record(
     Args:
         scene: built-in name or path of a scene file.
         out: new or empty folder; written atomically.
-        robot: that drives: a name of :data:`SURVEYORS`.
+        robot: that drives: a name of :data:`~vssm_gym.envs.robots.registry.HOLONOMIC_ROBOTS`.
         noise: execution noise of the drive; the recorded poses are the true ones.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
@@ -64,7 +64,7 @@ def record(
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
     check_new_folder(out)
-    choose("record", "robot", robot, SURVEYORS)
+    choose("record", "robot", robot, HOLONOMIC_ROBOTS)
     env = PointNavEnv(
         scene=str(scene),
         robot=robot,

@@ -55,6 +55,7 @@ class EnvironmentSettings(BaseModel):
 
     id: TrainedId = "vssm_gym/WorldModelNav-v0"
     map: str | None = None  # of WorldModelNav
+    transition: str | None = None  # of WorldModelNav: a learned one
     scene: str | None = None  # of the others
     num_envs: Whole = 256
     max_episode_steps: Whole = 300
@@ -70,6 +71,8 @@ class EnvironmentSettings(BaseModel):
         wanted, other = ("map", "scene") if self.id == WORLD_MODEL else ("scene", "map")
         if getattr(self, other) is not None:
             raise ValueError(f"no {other!r}: {self.id} takes a {wanted}")
+        if self.transition is not None and self.id != WORLD_MODEL:
+            raise ValueError(f"no 'transition': {self.id} moves its own robot")
         if taken := sorted(set(self.keywords) & set(FIXED)):
             raise ValueError(f"no {taken[0]!r}: training sets it")
         return self
@@ -164,6 +167,11 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
         raise InputError(path, "policy.inputs", f"scan and goal; {SENSED} does not observe {unseen[0]!r}")
     if map_file is not None:
         where = where.model_copy(update={"map": str(shipped(map_file, MAPS).resolve())})
+    if where.transition is not None:
+        learned = (path.parent / where.transition).resolve()
+        if not learned.is_file():
+            raise InputError(path, "environment.transition", f"a file of vssm-gym train-dynamics; found {learned}")
+        where = where.model_copy(update={"transition": str(learned)})
     changes: dict[str, Any] = {"environment": where} | ({} if seed is None else {"seed": seed})
     return config.model_copy(update=changes)
 
@@ -172,4 +180,7 @@ def training_hash(config: TrainingConfig, world_hash: str) -> str:
     """Hash what determines a training (configuration, content of map or scene); return 16 hex digits."""
     content = config.model_dump(mode="json")
     content["environment"] |= {"map": world_hash, "scene": None}
+    transition = content["environment"].pop("transition")
+    if transition is not None:
+        content["environment"]["transition"] = hashlib.sha256(Path(transition).read_bytes()).hexdigest()[:16]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -116,7 +116,7 @@ def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:
     # YAML has lists only, the constructors take tuples
     keywords = {name: tuple(value) if isinstance(value, list) else value for name, value in keywords.items()}
     if settings.id == WORLD_MODEL:
-        return gym.make_vec(settings.id, map=settings.map, **keywords)
+        return gym.make_vec(settings.id, map=settings.map, **{"transition": settings.transition} | keywords)
     keywords |= {"scene": settings.scene, "camera": SCAN_CAMERA}
     if settings.id == SENSED:  # its goal is relative already
         return VectorScanObservation(gym.make_vec(settings.id, images=("depth",), actions="metric", **keywords))

@@ -54,7 +54,9 @@ def evaluate_policy(
     *,
     scene: str,
     tasks: int,
+    robot: str = "holonomic",
     noise: str = "low",
+    transition: Path | None = None,
     map_file: Path | None = None,
     resume: bool = False,
     workers: int = 2,
@@ -68,7 +70,9 @@ def evaluate_policy(
         out: new or empty folder, or that of the same evaluation with ``resume``.
         scene: built-in name or path of a scene file.
         tasks: the first so many test tasks.
+        robot: that drives in the simulator: holonomic or worn.
         noise: of execution.
+        transition: by which robots move in imagination; None: by the holonomic robot's law.
         map_file: for the agents and for imagination, such as the one trained in; None: it is learned from a drive.
         resume: continue.
         workers: processes.
@@ -82,14 +86,16 @@ def evaluate_policy(
     policy = shipped(policy, POLICIES)
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
     voxel = DEFAULT_VOXEL if map_file is None else round(float(VoxelMap.load(map_file).voxel_size), 6)
-    config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=tuple(range(tasks)), voxel=voxel)
+    config = SweepConfig(
+        scenes=(scene,), agents=(agent,), robot=(robot,), noise=(noise,), tasks=tuple(range(tasks)), voxel=voxel
+    )
     check_names(config, "evaluate", ARGUMENTS)
     log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, map_file=map_file, on_progress=on_progress)
     rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
     task_file, agents_map = files_of(out, scene)
     set_ = load(task_file).tasks[:tasks]
     try:
-        found = imagine(policy_file.load(str(policy)), agents_map, set_, noise, seed)
+        found = imagine(policy_file.load(str(policy)), agents_map, set_, noise, seed, transition=transition)
     except InputError as error:
         evaluation = Evaluation(policy_file.agent_label(agent), _means(rows), None, None, str(error))
     else:
@@ -100,6 +106,7 @@ def evaluate_policy(
         evaluation = Evaluation(rows[0]["agent"], _means(rows), _means(imagined), gap, "")
     with atomic_write(out / FILE) as temporary:
         stored = _plain(evaluation) | {"map": map_hash(agents_map)}
+        stored |= {"transition": None if transition is None else transition.name}
         temporary.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
     return evaluation
 

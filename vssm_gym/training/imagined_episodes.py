@@ -58,6 +58,7 @@ def imagine(
     noise: str,
     seed: int = 0,
     spectator: Callable[[ImaginedStep], None] | None = None,
+    transition: Path | None = None,
 ) -> list[Row]:
     """Imagine one episode of each task; return rows of ``task, success, spl, steps, collisions, path_length, return``.
 
@@ -70,7 +71,13 @@ def imagine(
     settings = EnvironmentSettings(map=str(map_file), num_envs=n, max_episode_steps=STEPS)
     uncertain = "pose_std" in policy.spec.parts
     env: Any = make_observing(
-        settings, noise=noise, pose_std=POSE_STD, tasks=list(tasks), end_on="stop", show_uncertainty=uncertain
+        settings,
+        noise=noise,
+        transition=transition,
+        pose_std=POSE_STD,
+        tasks=list(tasks),
+        end_on="stop",
+        show_uncertainty=uncertain,
     )
     observation, _ = env.reset(seed=seed, options={"task": np.arange(n)})
     spec, radius = policy.spec, env.success_radius

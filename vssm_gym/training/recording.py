@@ -106,7 +106,9 @@ def record_runs(
     *,
     scene: str,
     task: int,
+    robot: str = "holonomic",
     noise: str = "low",
+    transition: Path | None = None,
     seed: int = 0,
     on_progress: OnProgress | None = None,
 ) -> PolicyRuns:
@@ -117,7 +119,9 @@ def record_runs(
         out: folder of :func:`vssm_gym.training.evaluation.evaluate_policy`, which has run with the same arguments.
         scene: built-in name or path of a scene file.
         task: number of the test task.
+        robot: that drives in the simulator.
         noise: of execution.
+        transition: by which the robot moves in imagination; None: by the holonomic robot's law.
         seed: of imagination.
         on_progress: called with ("driving" | "imagining", done, total).
 
@@ -128,9 +132,9 @@ def record_runs(
     task_file, agents_map = files_of(out, scene)
     wanted = load(task_file).tasks[task]
     # First the run that may be refused
-    imagined = _imagined(policy, agents_map, wanted, noise, seed + task, on_progress)
+    imagined = _imagined(policy, agents_map, wanted, noise, transition, seed + task, on_progress)
     agent = f"{policy_file.PREFIX}{policy.resolve()}"
-    config = SweepConfig(scenes=(scene,), agents=(agent,), noise=(noise,), tasks=(task,))
+    config = SweepConfig(scenes=(scene,), agents=(agent,), robot=(robot,), noise=(noise,), tasks=(task,))
     real = _real(config, task_file, VoxelMap.load(agents_map), on_progress)
     radius = policy_file.load(str(policy)).spec.success_radius
     return PolicyRuns(policy_file.agent_label(agent), scene_name(scene), wanted, radius, real, imagined)
@@ -159,7 +163,13 @@ def _real(config: SweepConfig, task_file: Path, m: VoxelMap, on_progress: OnProg
 
 
 def _imagined(
-    policy: Path, map_file: Path, task: Task, noise: str, seed: int, on_progress: OnProgress | None
+    policy: Path,
+    map_file: Path,
+    task: Task,
+    noise: str,
+    transition: Path | None,
+    seed: int,
+    on_progress: OnProgress | None,
 ) -> PolicyRun:
     network, moments, collisions = policy_file.load(str(policy)), [], 0
     m, steps, hfov = VoxelMap.load(map_file), [], network.spec.hfov
@@ -169,7 +179,7 @@ def _imagined(
         if on_progress:
             on_progress("imagining", step.number, STEPS)
 
-    (row,) = imagine(network, map_file, [task], noise, seed, see)
+    (row,) = imagine(network, map_file, [task], noise, seed, see, transition)
     for step in steps:
         planar, estimate = (np.asarray(a[0], np.float64) for a in (step.planar, step.observation["pose"]))
         collisions += bool(step.collision[0])

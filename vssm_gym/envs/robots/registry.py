@@ -13,3 +13,5 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "worn": partial(HolonomicRobot, response=WORN),
     "differential": DifferentialRobot,
 }
+# Those that take the commands of the holonomic robot: its agents and its surveys drive them
+HOLONOMIC_ROBOTS = ("holonomic", "worn")
