@@ -27,7 +27,8 @@ from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_STD, VoxelMap
 from vssm_gym.model.map_samples import deform
 from vssm_gym.model.posterior import Posterior, map_entropy
-from vssm_gym.model.transition import Belief, GaussianBelief, RigidState, planar_belief, rigid_belief
+from vssm_gym.model.transition import PLANAR, Belief, GaussianBelief, RigidState, planar_belief, rigid_belief
+from vssm_gym.model.transition.with_rest import RestState, WithRest
 
 CELL = 0.1  # m
 PRECISION = 4.0  # observations of an observed cell
@@ -45,6 +46,8 @@ def covariance(n: int) -> jax.Array:
 def belief(name: str) -> GaussianBelief:
     if name == "planar":
         return planar_belief(f32([0.4, -0.7, 2.9]), covariance(3))
+    if name == "planar with a rest":
+        return GaussianBelief(RestState(f32([0.4, -0.7, 2.9]), f32([0.5, -0.2])), covariance(5), WithRest(PLANAR, 2))
     rng = np.random.default_rng(0)
     return rigid_belief(RigidState(se3_exp(f32(rng.normal(size=6))), f32(rng.normal(size=6))), covariance(12))
 
@@ -70,7 +73,9 @@ def tiny_map(storage: str) -> VoxelMap | None:
     return m.with_occupancy(m.occupancy)
 
 
-EVERY = [(kind, storage) for kind in ("planar", "rigid") for storage in ("none", "dense", "sparse")]
+EVERY = [
+    (kind, storage) for kind in ("planar", "planar with a rest", "rigid") for storage in ("none", "dense", "sparse")
+]
 every = pytest.mark.parametrize(("kind", "storage"), EVERY)
 
 
@@ -246,6 +251,9 @@ CHANGES = {
     "mean, none": ("mean", None),
     "mean, beyond float64": ("mean", [[10**400, 0.0, 0.0]]),
     "mean, beyond float32": ("mean", [[1e300, 0.0, 0.0]]),
+    "rest, negative": ("rest", -1),
+    "rest, a word": ("rest", "2"),
+    "rest, too large": ("rest", 10**9),
     "covariance, not finite": ("covariance", [[float("nan")] * 3] * 3),
     "covariance, words": ("covariance", [["a"] * 3] * 3),
     "covariance, of another state": ("covariance", np.eye(12).tolist()),

@@ -27,8 +27,10 @@ from vssm_gym.model.map_samples import (
 )
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR, RIGID, Manifold
+from vssm_gym.model.transition.with_rest import WithRest
 
 MANIFOLDS: dict[str, Manifold] = {"planar": PLANAR, "rigid": RIGID}
+LARGEST_REST = 64  # dimensions of a latent rest in a file
 BELIEF_FORMAT, BELIEF_VERSION = "vssm_gym.Belief", 1  # of a file with a belief and no map
 
 
@@ -114,12 +116,15 @@ class Posterior(eqx.Module):
         Raises:
             InputError: a belief that is no Gaussian on a known manifold.
         """
-        name = next((name for name, manifold in MANIFOLDS.items() if manifold == _manifold(self.belief)), None)
+        manifold = _manifold(self.belief)
+        body, rest = (manifold.body, manifold.size) if isinstance(manifold, WithRest) else (manifold, 0)
+        name = next((name for name, known in MANIFOLDS.items() if known == body), None)
         if name is None:
             raise InputError(path, "belief", f"a Gaussian over one of {', '.join(MANIFOLDS)}")
         numbers = lambda a: np.asarray(a, np.float64).tolist()
         mean = [numbers(leaf) for leaf in jax.tree.leaves(self.belief.mean)]
         belief = {"manifold": name, "mean": mean, "covariance": numbers(self.belief.covariance)}  # type: ignore[attr-defined]
+        belief |= {"rest": rest} if rest else {}
         if self.map is not None:
             readings = [numbers(np.float32(leaf)) for leaf in jax.tree.leaves(self.measurement_noise)]
             self.map.save(path, **metadata, belief=belief, readings=readings)
@@ -152,6 +157,10 @@ class Posterior(eqx.Module):
         manifold = next((known for name, known in MANIFOLDS.items() if name == stored.get("manifold")), None)
         if manifold is None:
             raise InputError(path, "belief.manifold", f"one of {', '.join(MANIFOLDS)}")
+        rest = stored.get("rest", 0)
+        if isinstance(rest, bool) or not (isinstance(rest, int) and 0 <= rest <= LARGEST_REST):
+            raise InputError(path, "belief.rest", f"a whole number from 0 to {LARGEST_REST}; found {rest!r:.80}")
+        manifold = WithRest(manifold, rest) if rest else manifold
         form = manifold.resting(jnp.eye(4))
         leaves, n = jax.tree.leaves(form), len(manifold.turns)
         shapes = [leaf.shape for leaf in leaves]
