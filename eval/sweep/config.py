@@ -182,6 +182,9 @@ def check_names(config: SweepConfig, source: object, arguments: Mapping[str, str
                 unfit = _unfit(name, env=config.env[0]) if field == "agents" else ""
                 hint = "" if unfit.startswith(",") else did_you_mean(available, name)
                 raise InputError(source, named(field), f"one of {', '.join(available)}; found {name!r}{hint}{unfit}")
+    if "worn" in config.robot and "world" in config.direction_frame:
+        expected = "body with the robot worn, whose drive follows commands in its own frame"
+        raise InputError(source, named("direction_frame"), expected)
     if len({scene_name(scene) for scene in config.scenes}) < len(config.scenes):
         raise InputError(source, named("scenes"), "scenes whose file names differ: maps and rows are named after them")
     names = protocol.scene_names()

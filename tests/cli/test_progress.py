@@ -78,7 +78,10 @@ def test_lines_come_while_nothing_is_reported(capsys, monkeypatch):
     monkeypatch.setattr(progress_module, "LOG_SECONDS", 0.02)
     heard = ""
     with progress_bars() as on_progress:
-        for wanted in ("progress: building or compiling, 0:00:00\n", "progress: running episodes: 3 of 8, 0:00:00\n"):
+        for wanted in (
+            "progress: building, compiling or writing, 0:00:00\n",
+            "progress: running episodes: 3 of 8, 0:00:00\n",
+        ):
             deadline = time.monotonic() + 30.0
             while wanted not in heard:
                 assert time.monotonic() < deadline, heard

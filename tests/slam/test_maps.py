@@ -87,6 +87,8 @@ def test_the_commands_of_a_worn_robot_are_not_its_motion(recording, tmp_path):
     assert moved == pytest.approx(0.85 * steps.sum(), rel=0.03)
     assert turned == pytest.approx(0.8 * np.ptp(np.cumsum(turns)), rel=0.1)
     assert read_provenance(tmp_path / "worn")["robot"] == "worn"
+    with pytest.raises(InputError, match="robot: expected holonomic, whose commands tell its motion; found worn"):
+        build_map(sequence, 0.1, poses="estimated")
 
 
 def test_a_recording_is_never_overwritten(recording):

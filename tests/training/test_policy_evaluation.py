@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.helpers.box_rooms import two_rooms
+from tests.helpers.dynamics.transitions import random_transition
 from tests.helpers.imagined_room import room, task
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
@@ -18,6 +19,7 @@ from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.sweep.config import SweepConfig
 from vssm_gym.eval.sweep.runner import run_sweep
 from vssm_gym.maps.map_file import map_hash
+from vssm_gym.model.transition.learned_file import calibrated, save_transition
 from vssm_gym.training.evaluation import METRICS, evaluate_policy, files_of
 from vssm_gym.training.imagined_episodes import STEPS, imagine, real_return
 
@@ -86,8 +88,14 @@ def test_the_gap_is_imagined_minus_simulated(tmp_path):
             evaluate_policy(file, again, scene=scene, tasks=2, map_file=other, resume=True)
 
 
-def test_a_map_that_the_agent_cannot_use_is_refused(tmp_path):
-    """No file, or a map in its first camera's frame: nothing runs and nothing is written."""
+def saved_transition(folder, kind):
+    """Write a learned transition of a kind of robot."""
+    save_transition(folder / f"{kind}.npz", random_transition(calibrated(kind)), kind, {})
+    return folder / f"{kind}.npz"
+
+
+def test_a_map_or_transition_that_does_not_fit_is_refused(tmp_path):
+    """No file, a map in its first camera's frame, another robot's motion: nothing runs and nothing is written."""
     file, out, scene = tmp_path / "straight.npz", tmp_path / "out", str(tmp_path / "rooms.json")
     policy_file.save(file, straight())
     save_scene(two_rooms(), tmp_path / "rooms.json")
@@ -95,6 +103,10 @@ def test_a_map_that_the_agent_cannot_use_is_refused(tmp_path):
     for given, message in ((tmp_path / "none.npz", "an existing map file"), (tmp_path / "walk.npz", "frame: expected")):
         with pytest.raises(InputError, match=message):
             evaluate_policy(file, out, scene=scene, tasks=1, map_file=given)
+    wrong = saved_transition(tmp_path, "car")
+    for given, message in ((tmp_path / "none.npz", "a learned transition"), (wrong, "kind: expected holonomic")):
+        with pytest.raises(InputError, match=message):
+            evaluate_policy(file, out, scene=scene, tasks=1, transition=given)
     assert not out.exists()
     config = SweepConfig(scenes=(scene, "oak"), agents=("oracle",), tasks=(0,))
     with pytest.raises(InputError, match="map: expected a configuration of one scene; found 2"):

@@ -56,7 +56,10 @@ def estimate_poses(sequence: Sequence, voxel: float, on_progress: OnProgress | N
     Raises:
         InputError: a recording without a robot's commands, a drive too far from its start, or too small cells.
     """
-    noise = NOISE_LEVELS.get(str(read_provenance(sequence.root).get("noise")))
+    made = read_provenance(sequence.root)
+    if (robot := made.get("robot", "holonomic")) != "holonomic":
+        raise InputError(sequence.root, "robot", f"holonomic, whose commands tell its motion; found {robot!s:.80}")
+    noise = NOISE_LEVELS.get(str(made.get("noise")))
     if noise is None or sequence.T_body_cam is None or sequence.controls.shape != (len(sequence.frames), 4):
         expected = "a survey that `vssm-gym record` drove: commands, T_body_cam and the noise of the drive"
         raise InputError(sequence.root, "controls", expected)

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from vssm_gym.errors import InputError
 from vssm_gym.files.shipped import MAPS, beside, shipped
 from vssm_gym.files.yaml_file import as_tuple, distinct, read_yaml
+from vssm_gym.model.transition.learned_file import transition_hash
 
 WORLD_MODEL, SIMULATOR, SENSED = "vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0", "vssm_gym/PointNavGPS-v0"
 # Keywords that training sets itself
@@ -182,5 +183,5 @@ def training_hash(config: TrainingConfig, world_hash: str) -> str:
     content["environment"] |= {"map": world_hash, "scene": None}
     transition = content["environment"].pop("transition")
     if transition is not None:
-        content["environment"]["transition"] = hashlib.sha256(Path(transition).read_bytes()).hexdigest()[:16]
+        content["environment"]["transition"] = transition_hash(transition)
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

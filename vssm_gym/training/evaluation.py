@@ -10,6 +10,7 @@ from typing import Any
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.envs.tasks.navigation import load
+from vssm_gym.envs.world_model.config import Imagination
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.episodes.row import identified
@@ -21,6 +22,7 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.shipped import POLICIES, shipped
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.transition.learned_file import transition_hash
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.imagined_episodes import imagine, real_return
 
@@ -90,6 +92,7 @@ def evaluate_policy(
         scenes=(scene,), agents=(agent,), robot=(robot,), noise=(noise,), tasks=tuple(range(tasks)), voxel=voxel
     )
     check_names(config, "evaluate", ARGUMENTS)
+    Imagination(transition=transition).learned()  # a file that does not fit is refused before anything runs
     log = run_sweep(config, out, resume=resume, workers=workers, seed=seed, map_file=map_file, on_progress=on_progress)
     rows = [{**row, "return": real_return(row), "world": "real"} for row in read_rows(log)]
     task_file, agents_map = files_of(out, scene)
@@ -106,7 +109,7 @@ def evaluate_policy(
         evaluation = Evaluation(rows[0]["agent"], _means(rows), _means(imagined), gap, "")
     with atomic_write(out / FILE) as temporary:
         stored = _plain(evaluation) | {"map": map_hash(agents_map)}
-        stored |= {"transition": None if transition is None else transition.name}
+        stored |= {"transition": None if transition is None else transition_hash(transition)}
         temporary.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
     return evaluation
 

@@ -77,6 +77,12 @@ def test_only_the_holonomic_robot_has_directions(tmp_path):
             load_config(tmp_path / "car.yaml")
 
 
+def test_a_worn_drive_has_no_compass():
+    check_names(BODY.model_copy(update={"robot": ("holonomic", "worn")}), "here")
+    with pytest.raises(InputError, match="here: direction_frame: expected body with the robot worn"):
+        check_names(BOTH.model_copy(update={"robot": ("holonomic", "worn")}), "here")
+
+
 def test_agents_know_the_frame_and_the_law_of_the_noise():
     assert vssm_gym
     env = gym.make("vssm_gym/PointNav-v0", scene="oak", noise="locobot", direction_frame="world")

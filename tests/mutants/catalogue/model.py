@@ -10,6 +10,8 @@ BICYCLE, WHEELS, PLANAR = (
     "tests/model/test_transition.py",
 )
 ROBOTS = "tests/envs/robots/test_holonomic.py"
+RESPONSE = "tests/envs/robots/test_drive_response.py"
+IMAGINED = "tests/envs/world_model/test_learned_motion.py"
 LEARNED, OBJECTIVE = "tests/model/test_learned_transition.py", "tests/training/dynamics/test_objective.py"
 
 MODEL = (
@@ -145,6 +147,34 @@ MODEL = (
         "phi = heading + offset + e_a",
         "phi = heading + offset",
         (f"{ROBOTS}::test_the_same_error_turns_the_body_and_its_path",),
+    ),
+    Mutant(
+        "worn-drive-that-never-rests",
+        "vssm_gym/envs/robots/drive_response.py",
+        "return np.where(held, 0.0, reached)",
+        "return reached",
+        (f"{RESPONSE}::test_a_robot_that_is_told_to_rest_comes_to_rest",),
+    ),
+    Mutant(
+        "worn-drive-pulled-in-every-step",
+        "vssm_gym/envs/robots/holonomic.py",
+        "after[2] + self.response.pull * driven",
+        "after[2] + self.response.pull * self.max_step",
+        (f"{RESPONSE}::test_the_pull_is_the_same_at_every_noise",),
+    ),
+    Mutant(
+        "imagined-robot-that-forgets-its-drive",
+        "vssm_gym/envs/world_model/motion.py",
+        "return Aim(drawn.body, drawn.rest)",
+        "return Aim(drawn.body, rest)",
+        (f"{IMAGINED}::test_robots_move_as_the_transition_draws",),
+    ),
+    Mutant(
+        "imagined-robot-of-unknown-motion-at-its-start",
+        "vssm_gym/envs/world_model/motion.py",
+        "return path.rest[:, -1]",
+        "return rest",
+        (f"{IMAGINED}::test_robots_move_as_the_transition_draws",),
     ),
     Mutant(
         "wheel-errors-add-up-instead-of-their-variances",

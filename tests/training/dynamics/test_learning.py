@@ -19,7 +19,7 @@ from vssm_gym.model.transition.learned_file import NOMINALS, load_transition
 from vssm_gym.training.dynamics import fit as fit_module
 from vssm_gym.training.dynamics import learn as learn_module
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
-from vssm_gym.training.dynamics.evaluation import coverage, path_errors, step_likelihood
+from vssm_gym.training.dynamics.evaluation import WINDOWS_AT_ONCE, coverage, path_errors, step_likelihood
 from vssm_gym.training.dynamics.fit import FitConfig, fit, with_gain
 from vssm_gym.training.dynamics.learn import LearnConfig, learn
 from vssm_gym.training.dynamics.windows import windows
@@ -80,6 +80,19 @@ def test_a_robot_that_slips_is_learned_better_than_its_commands_say():
     found = fit_parametric(Bicycle(), data, DT)
     np.testing.assert_allclose(np.diag(found.gain), [0.7, 1.1], atol=0.02)
     assert path_errors(found, data, DT).position[-1] < 0.02 * path_errors(Bicycle(), data, DT).position[-1]
+
+
+def test_errors_of_all_windows_are_those_of_their_parts():
+    """Mean squares add up over parts of any length, more or fewer windows than are computed at once."""
+    steps = cut(lagging(30.0, 2))
+    data = windows([steps], PLANAR, 10)
+    model, n = NOMINALS["holonomic"](), len(data)
+    assert WINDOWS_AT_ONCE < n < 3 * WINDOWS_AT_ONCE
+    parts = [data.take(slice(0, 30)), data.take(slice(30, None))]
+    squares = [len(part) * path_errors(model, part, steps.dt).position ** 2 for part in parts]
+    np.testing.assert_allclose(n * path_errors(model, data, steps.dt).position ** 2, sum(squares), rtol=1e-5)
+    densities = [len(part) * step_likelihood(model, parts[0], part, steps.dt) for part in parts]
+    assert n * step_likelihood(model, parts[0], data, steps.dt) == pytest.approx(sum(densities), rel=1e-5)
 
 
 @pytest.mark.slow

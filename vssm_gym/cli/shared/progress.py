@@ -140,7 +140,7 @@ class Lines:
         while not self._closed.wait(LOG_SECONDS):
             with self._lock:
                 now = time.monotonic()
-                idle = f"progress: building or compiling, {_clock(now - self._idle)}"
+                idle = f"progress: building, compiling or writing, {_clock(now - self._idle)}"
                 say(idle if self._stage is None else self._stage.line(now), error=True)
 
 

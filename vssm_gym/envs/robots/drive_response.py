@@ -1,9 +1,11 @@
 """Respond to commands as a worn drive does: late, too little, and to one side.
 
-    c' = c + (1 - exp(-dt / lag)) (u - c)           what the drive has reached, of (turn, o, s); at rest c = 0
-    (turn, o, s) = gains * c' + (pull gains_s s', 0, 0)
+    c' = c + (1 - exp(-dt / lag)) (u - c)      what the drive has reached, of (turn, o, s); at rest c = 0
+    c' = 0 where u = 0 and |c'| < 0.05 limit   friction holds a drive that is told to rest, component by component
+    (turn, o, s) = gains * c'                  is executed, with noise
+    heading += pull * metres driven            and the robot pulls to one side
 
-A robot that plans with what it commands is not told of it. Execution noise comes on top.
+A robot that plans with what it commands is not told of it.
 """
 
 import math
@@ -12,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from vssm_gym.errors import InputError
+
+STICTION = 0.05  # of the limit of a command: what is left of a motion that friction ends
 
 
 @dataclass(frozen=True)
@@ -30,22 +34,24 @@ class DriveResponse:
         if not math.isfinite(self.pull):
             raise InputError("DriveResponse", "pull", f"a finite number, not {self.pull!r}")
 
-    def follow(self, reached: np.ndarray, command: np.ndarray, dt: float) -> np.ndarray:
+    def follow(self, reached: np.ndarray, command: np.ndarray, limits: np.ndarray, dt: float) -> np.ndarray:
         """Return what the drive has reached after a step, rad, rad, m, of what it had reached before.
 
         Args:
             reached: before the step; zero at rest.
             command: ``(turn, o, s)`` as commanded.
+            limits: the largest command.
             dt: length of the step, s.
         """
         left = math.exp(-dt / self.lag) if self.lag > 0.0 else 0.0
-        return np.asarray(command + left * (reached - command), dtype=np.float64)
+        reached = np.asarray(command + left * (reached - command), dtype=np.float64)
+        held = (command == 0.0) & (np.abs(reached) < STICTION * limits)
+        return np.where(held, 0.0, reached)
 
     def carried_out(self, reached: np.ndarray) -> np.ndarray:
-        """Return the ``(turn, o, s)``, rad, rad, m, by which the robot moves where its drive has reached a command."""
-        turn, offset, step = np.asarray(self.gains) * reached
-        return np.array([turn + self.pull * step, offset, step])
+        """Return the ``(turn, o, s)``, rad, rad, m, that the robot executes where its drive has reached a command."""
+        return np.asarray(self.gains) * reached
 
 
-# The response of robot="worn": two steps late, a fifth of a turn lost, and pulled to the right
+# The response of robot="worn": a step and a half late, a fifth of a turn lost, and pulled to the right
 WORN = DriveResponse(lag=0.4, gains=(0.8, 1.0, 0.85), pull=-0.1)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -97,7 +98,7 @@ class HolonomicRobot:
         """Return what the drive has reached after a command, and what it carries out; see :class:`DriveResponse`."""
         if self.response is None:
             return command, command
-        reached = self.response.follow(reached, command, self.dt)
+        reached = self.response.follow(reached, command, self.limits, self.dt)
         return reached, self.response.carried_out(reached)
 
     def execute(
@@ -109,9 +110,12 @@ class HolonomicRobot:
         """
         if self.direction_frame == "world":
             command = np.array([command[0], command[1] - planar[2], command[2]])
-        if isinstance(noise, BiasedExecutionNoise):
-            return noise.execute(planar, command, rng)
-        return execute(planar, command, noise, rng)
+        law = noise.execute if isinstance(noise, BiasedExecutionNoise) else partial(execute, noise=noise)
+        after = law(planar, command, rng=rng)
+        if self.response is not None:
+            driven = math.hypot(*(after[:2] - planar[:2]))
+            after[2] = wrap_angle(after[2] + self.response.pull * driven)
+        return after
 
 
 @dataclass(frozen=True)

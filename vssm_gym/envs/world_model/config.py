@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from vssm_gym.envs.robots import ExecutionNoise, execution_noise
+from vssm_gym.envs.robots import ExecutionNoise, HolonomicRobot, execution_noise
 from vssm_gym.envs.robots.car_noise import CarNoise, car_noise
 from vssm_gym.envs.sensors import CameraConfig, camera_config
 from vssm_gym.envs.validation import choose
@@ -119,6 +119,9 @@ class Imagination:
         if transition.further:
             expected = f"{transition.nominal.controls} controls, those of the robot; found {transition.controls}"
             raise InputError(self.transition, "further", expected)
+        step = float(transition.scales.step)
+        if self.robot == "holonomic" and abs(step - HolonomicRobot.dt) > 1e-3:  # its controls are displacements
+            raise InputError(self.transition, "scales.step", f"{HolonomicRobot.dt} s, the robot's step; found {step:g}")
         return transition
 
     def noise_range(self) -> tuple[Any, Any]:

@@ -14,6 +14,7 @@ A law says where a robot would come in free space (:class:`Aim`); what obstacles
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -24,6 +25,8 @@ from vssm_gym.model.transition.bicycle import Bicycle
 from vssm_gym.model.transition.learned import LearnedTransition
 from vssm_gym.model.transition.with_rest import RestState
 
+SERVOS = 4  # numbers of a car's servos: speed, steering, gain, trim
+STANDING_DRIVES, STOOD_FOR = 4096, 10.0  # drives of robots that stand, and for how long they have been told to, s
 DISCS = 3  # along the car's middle that cover its footprint
 
 
@@ -73,6 +76,21 @@ def aim_by_learned(
     step = transition.step(RestState(planar, rest), command, dt)
     drawn = transition.perturb_in_body_axes(step.mean, step.stds * normal)
     return Aim(drawn.body, drawn.rest)
+
+
+def standing_drives(transition: LearnedTransition | None, dt: float) -> Float[Array, "draws d"]:
+    """Draw inner states of the drive of a robot that stands: of a learned one, the rest after steps of zero command.
+
+    The prior of a rest is that of a robot of whose motion nothing is known; one that has been told to rest for a while
+    has another.
+    """
+    if transition is None:
+        return jnp.zeros((1, SERVOS))
+    by_rest, by_path = jax.random.split(jax.random.key(0))
+    rest = jax.random.normal(by_rest, (STANDING_DRIVES, transition.size))
+    states = RestState(jnp.zeros((STANDING_DRIVES, 3)), rest)
+    path = transition.sample_paths(by_path, states, jnp.zeros((round(STOOD_FOR / dt), transition.controls)), dt)
+    return path.rest[:, -1]
 
 
 def slide_disc(

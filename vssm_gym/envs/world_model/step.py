@@ -31,7 +31,6 @@ from vssm_gym.envs.world_model.world import ImaginedWorld, Robot
 from vssm_gym.geometry.car import Car
 from vssm_gym.model.transition import Bicycle, MotionNoise, Planar
 
-SERVOS = 4  # numbers of a car's servos: speed, steering, gain, trim
 MOTION_NORMALS = 2  # a step, of a robot whose law is written down; a learned law has one for each of its errors
 
 
@@ -69,7 +68,7 @@ def empty_state(world: ImaginedWorld, n: int) -> BatchState:
     """Return the state of n robots before their first episode."""
     zeros = lambda *shape: jnp.zeros((n, *shape), jnp.float32)
     count = lambda: jnp.zeros(n, jnp.int32)  # one array each: the step donates the memory of all
-    drive = zeros(SERVOS if world.transition is None else world.transition.size)
+    drive = zeros(world.standing.shape[1])
     return BatchState(
         jnp.zeros((n, 2), jnp.uint32), count(), zeros(3), zeros(3), zeros(3), drive, zeros(world.noise.shape[1]),
         count(), count(), zeros(), count(), jnp.ones(n, bool),
@@ -130,14 +129,10 @@ def begin(robot: Robot, world: ImaginedWorld, state: BatchState, task: Int[Array
     c, s = jnp.cos(heading), jnp.sin(heading)
     x, y = start[:, 0] - c * error[:, 0] + s * error[:, 1], start[:, 1] - s * error[:, 0] - c * error[:, 1]
     planar = estimated_pose(jnp.stack([x, y, heading], axis=-1), jnp.zeros_like(error))
-    if world.transition is not None:  # what it did before is not known: the rest is a draw of its prior
-        rest = (world.transition.size,)
-        drive = jax.vmap(lambda key: jax.random.normal(jax.random.fold_in(key, 1), rest))(keys)
-    elif isinstance(robot, Car):
+    drive = world.standing[jax.vmap(lambda key: _any_of(world.standing, key))(keys)]
+    if isinstance(robot, Car) and world.transition is None:
         trim = noise[:, 3] * normal[:, 4]
         drive = jnp.stack([jnp.zeros_like(trim), trim, 1.0 + noise[:, 2] * normal[:, 3], trim], axis=-1)
-    else:
-        drive = jnp.zeros((*which.shape, SERVOS))
     zero, variance = jnp.zeros_like(which), jnp.broadcast_to(world.start_std**2, error.shape)
     potential = world.goal_distances.at(world.pool.goal[task], x, y)
     return BatchState(
@@ -208,7 +203,7 @@ def _act(
         planar = Planar(MotionNoise(state.noise[:, 0], state.noise[:, 1]))
         aim = Aim(planar.executed(state.planar, command, normal), state.drive)
     if isinstance(robot, Car):
-        standing = aim.drive.at[:, 0].set(0.0) if world.transition is None else jnp.zeros_like(aim.drive)
+        standing = world.standing[:1] if world.transition is not None else aim.drive.at[:, 0].set(0.0)
         moved = block_car(world.collision_map, state.which, state.planar, aim, standing, robot)
     else:
         moved = slide_disc(world.collision_map, state.which, state.planar, aim, robot.radius)
@@ -229,6 +224,11 @@ def _reward(
     potential = jnp.where(now > REACHABLE_DISTANCE, state.potential, now)
     dense = gained - rules.step_cost - rules.collision_cost * collision
     return jnp.where(rules.dense, dense, 0.0) + prize - lost, potential
+
+
+def _any_of(drives: Float[Array, "draws d"], key: Array) -> Int[Array, ""]:
+    """Return the number of one of several drives."""
+    return jax.random.randint(jax.random.fold_in(key, 1), (), 0, len(drives))
 
 
 def _where(mask: Bool[Array, "n"], a: BatchState, b: BatchState) -> BatchState:

@@ -18,7 +18,7 @@ from vssm_gym.envs.tasks.navigation import GOAL_APART, SHORTEST, SUCCESS
 from vssm_gym.envs.world_model.collision_map import CollisionMap
 from vssm_gym.envs.world_model.config import SOURCE, Imagination, noise_parameters
 from vssm_gym.envs.world_model.goal_distance import GoalDistances, Lattice
-from vssm_gym.envs.world_model.motion import disc_radius
+from vssm_gym.envs.world_model.motion import disc_radius, standing_drives
 from vssm_gym.envs.world_model.tasks import TaskLimits, TaskPool, draw_tasks
 from vssm_gym.envs.world_model.view import ImaginedCamera
 from vssm_gym.errors import InputError
@@ -53,6 +53,7 @@ class ImaginedWorld(eqx.Module):
     maps: int = eqx.field(static=True)  # number of maps, of which an episode takes one
     noise: Float[Array, "2 parameters"]  # ends of the range that episodes draw from
     transition: LearnedTransition | None  # that moves the robots; None: the law of the robot's kind
+    standing: Float[Array, "draws d"]  # inner states of a drive whose robot stands
     low: Float[Array, "action"]  # least and largest command
     high: Float[Array, "action"]
     start_std: Float[Array, "3"]  # m, m, rad
@@ -99,6 +100,7 @@ def build_world(source: Any, config: Imagination, robot: Robot, max_steps: int) 
         view = ImaginedCamera.scan(maps, camera, robot.T_body_cam, config.max_depth)
     else:
         view = ImaginedCamera.images(maps, camera, robot.T_body_cam, config.max_depth, config.observation == "rgbd")
+    transition = config.learned()
     low = -robot.limits if isinstance(robot, Car) else np.array([-robot.max_turn, -robot.max_offset, 0.0])
     noise = [noise_parameters(one) for one in config.noise_range()]
     device = lambda values: jnp.asarray(values, jnp.float32)
@@ -110,7 +112,8 @@ def build_world(source: Any, config: Imagination, robot: Robot, max_steps: int) 
         view=view,
         maps=len(maps),
         noise=device(noise),
-        transition=config.learned(),
+        transition=transition,
+        standing=standing_drives(transition, robot.dt),
         low=device(low),
         high=device(robot.limits),
         start_std=device(config.start_std),

@@ -4,6 +4,7 @@ A file is an ``.npz`` with a JSON header and one float32 array for each array of
 place in the tree. The header says how to build a transition of the same form, so that a load checks every shape.
 """
 
+import hashlib
 import io
 import json
 from collections.abc import Callable
@@ -31,6 +32,8 @@ from vssm_gym.model.transition.planar import Planar
 FORMAT, VERSION = "vssm-gym-transition", 1
 FILE_BYTES = 64 << 20  # a network of 5 layers of 64 has 0.1 MB
 LARGEST = {"size": 64, "further": 64, "width": 1024, "depth": 32}  # of each number in the header
+
+EXPECTED = "a learned transition (.npz); `vssm-gym train-dynamics` makes one"
 
 # The nominal step of each kind of log, before calibration
 NOMINALS: dict[str, Callable[[], Transition]] = {
@@ -93,9 +96,8 @@ def load_transition(path: str | Path) -> TransitionFile:
     Raises:
         InputError: no such file, another format or version, a field or an array that does not fit.
     """
-    expected = "a learned transition (.npz); `vssm-gym train-dynamics` makes one"
-    data = read_bytes(path, FILE_BYTES, expected)
-    with open_npz(io.BytesIO(data), path, FILE_BYTES, expected) as stored:
+    data = read_bytes(path, FILE_BYTES, EXPECTED)
+    with open_npz(io.BytesIO(data), path, FILE_BYTES, EXPECTED) as stored:
         header = stored.read_json("header", path)
         found = (header.get("format"), header.get("version")) if isinstance(header, dict) else (None, None)
         if found != (FORMAT, VERSION):
@@ -125,6 +127,11 @@ def load_transition(path: str | Path) -> TransitionFile:
     if not float(transition.scales.step) > 0.0:
         raise InputError(path, "scales.step", "a positive number of seconds")
     return TransitionFile(transition, kind, trained)
+
+
+def transition_hash(path: str | Path) -> str:
+    """Return 16 hex digits of the content of a file of a learned transition."""
+    return hashlib.sha256(read_bytes(path, FILE_BYTES, EXPECTED)).hexdigest()[:16]
 
 
 def _form(kind: str, numbers: dict[str, int]) -> LearnedTransition:

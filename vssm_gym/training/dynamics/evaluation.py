@@ -1,5 +1,6 @@
 """Evaluate open-loop predictions: errors after many steps, coverage of envelopes, likelihood of single steps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ from vssm_gym.training.dynamics.windows import SMALLEST_ERROR, Windows
 
 ENVELOPE = 0.95  # share of futures that an envelope should hold
 PATHS = 128  # that are drawn from each start
+WINDOWS_AT_ONCE = 64  # windows that are predicted at once: parts of all lengths share one compiled program
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def path_errors(transition: Transition, data: Windows, dt: float) -> PathErrors:
         data: windows of one length.
         dt: length of a step, s.
     """
-    position2, rotation2 = (np.asarray(a, float) for a in _off(transition, data, dt))
+    position2, rotation2 = _in_batches(lambda some: _off(transition, some, dt), data)
     return PathErrors(np.sqrt(position2.mean(axis=0)), np.sqrt(rotation2.mean(axis=0)))
 
 
@@ -104,6 +106,17 @@ def coverage(
     return np.mean(held, axis=0)
 
 
+def _in_batches(measure: Callable[[Windows], Any], data: Windows) -> list[Float[np.ndarray, "windows ..."]]:
+    """Return each array that a function gives for windows, float64, computed for some windows at a time."""
+    found, n = [], len(data)
+    for first in range(0, n, WINDOWS_AT_ONCE):
+        some = data.take(
+            np.minimum(np.arange(first, first + WINDOWS_AT_ONCE), n - 1)
+        )  # the last one fills the last batch
+        found.append([np.asarray(a, float) for a in measure(some)])
+    return [np.concatenate(arrays)[:n] for arrays in zip(*found, strict=True)]
+
+
 @eqx.filter_jit
 def _step_errors(transition: Transition, data: Windows, dt: float, noise: tuple[float, float]) -> tuple[Any, Any]:
     """Return pose errors of single steps from every measured state, and their standard deviations (one: unknown)."""
@@ -133,9 +146,10 @@ def step_likelihood(
         dt: length of a step, s.
         noise: standard deviations of measured positions (m) and rotations (rad), which learned noise does not hold.
     """
-    xi, stds = (np.asarray(a, float) for a in _step_errors(transition, data, dt, noise))
+    errors = lambda some: _step_errors(transition, some, dt, noise)
+    xi, stds = _in_batches(errors, data)
     if not isinstance(transition, LearnedTransition):
-        known = np.asarray(_step_errors(transition, trained_on, dt, noise)[0], float)
+        known = _in_batches(errors, trained_on)[0]
         stds = np.broadcast_to(np.maximum(np.sqrt(np.mean(known**2, axis=(0, 1))), SMALLEST_ERROR), xi.shape)
     densities = -0.5 * (xi / stds) ** 2 - np.log(stds) - 0.5 * np.log(2.0 * np.pi)
     return float(densities.sum(axis=-1).mean())
