@@ -30,8 +30,10 @@ def saved(folder, kind, further=0):
     learned = random_transition(calibrated(kind), further=further, spread=0.03, seed=3)
     errors, rest = 0.02 * jnp.ones_like(learned.scales.errors), slice(-learned.size, None)
     n = len(learned.nominal.manifold.turns)
-    network = eqx.tree_at(lambda net: net.offset, learned.network, learned.network.offset.at[rest].set(jnp.log(0.6)))
-    by_rest = network.linear.at[-learned.size :, :n].set(0.5 / CORRECTION_PER_STD * jnp.eye(learned.size, n))
+    network = eqx.tree_at(lambda net: net.offset, learned.network, learned.network.offset.at[rest].set(jnp.log(0.4)))
+    unit = jnp.eye(learned.size, n)
+    by_rest = network.linear.at[-learned.size :, :n].set(1.5 / CORRECTION_PER_STD * unit)
+    by_rest = by_rest.at[-learned.size :, n : n + learned.size].set(0.7 * unit[:, : learned.size])  # it forgets
     network = eqx.tree_at(lambda net: net.linear, network, by_rest)
     parts = lambda t: (t.network, t.scales.errors, t.scales.step)
     learned = eqx.tree_at(parts, learned, (network, errors, jnp.asarray(0.2)))
