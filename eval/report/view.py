@@ -10,6 +10,7 @@ from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.report import figures, summary, tables
 from vssm_gym.eval.report.ranking import Ranking, by_metric, paired_difference
+from vssm_gym.eval.report.scene_plans import scene_plans
 from vssm_gym.eval.report.summary import Column
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.viz import pictures
@@ -89,6 +90,11 @@ def learned(
     return lambda maps, folder, rows: {scene: pictures.topdown(m, cut_height) for scene, m in maps.items()}
 
 
+def _learned_or_true(maps: Mapping[str, VoxelMap], folder: Path, rows: Sequence[Row]) -> dict[str, pictures.Background]:
+    """Return ``backgrounds`` of PointNav: the agents' maps, and the scene itself where no agent was given one."""
+    return scene_plans(folder, rows, maps) | learned(pictures.CUT_HEIGHT)(maps, folder, rows)
+
+
 def _headline(rows: Sequence[Row], seed: int, reference: str | None) -> Table | None:
     """Return the table of conditions; None with one, whose metrics the ranking and the results show."""
     del reference
@@ -123,7 +129,7 @@ POINTNAV_VIEW = View(
     curves_by=tables.pooled,
     curves=figures.curves,
     plans=lambda rows, maps, folder: None,
-    backgrounds=learned(pictures.CUT_HEIGHT),
+    backgrounds=_learned_or_true,
     failed=figures.has_failed,
     legend=figures.legend,
     picture=figures.run_picture,

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import UInt8
 
+from vssm_gym.agents.base import ANY_TASK
+from vssm_gym.agents.policy.policy_file import PREFIX as POLICY
 from vssm_gym.agents.registry import AGENTS, WITH, agent_type, make_agent
 from vssm_gym.data.images import colour_image
 from vssm_gym.envs.robots import HOLONOMIC_NOISES, HolonomicRobot
@@ -17,7 +20,7 @@ from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.envs.tasks.navigation import SHIPPED_TASKS, Task, task_set
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.episodes.identity import Episode, episode_seed, scene_name
 from vssm_gym.eval.protocols.episode import StepRecord, run_episode
 from vssm_gym.eval.protocols.explore_episode import map_of
@@ -41,6 +44,7 @@ MANIFEST = "navigate.json"
 IDENTITY = ("config_hash", "start", "goal", "steps", "map_hash")  # of a run; fields of the manifest
 COMMAND = "navigate"  # source of errors about the arguments
 START_HEIGHT = 0.3  # m, of the robot's body, at which the map has to show the start as free
+CHECKED_TASKS, MOST_OCCUPIED = 40, 0.05  # whose starts and goals are free in the scene, and the share that may not be
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,9 @@ def prepare(drive: Drive) -> Prepared:
     check_at_least(COMMAND, "task", drive.task, 0)
     if drive.task >= SHIPPED_TASKS:
         raise InputError(COMMAND, "task", f"less than {SHIPPED_TASKS}; found {drive.task}")
-    kind = AGENTS.get(drive.agent.partition(WITH)[0])  # an unknown one is named by the check below
+    kind = AGENTS.get(drive.agent.partition(WITH)[0])
+    if kind is None and not drive.agent.startswith(POLICY):
+        raise InputError(COMMAND, "agent", one_of((*navigators(), f"{POLICY}FILE"), drive.agent))
     by_image = isinstance(drive.goal, Path) or (kind is not None and kind.task == "imagegoal")
     config = SweepConfig(
         env=(IMAGENAV if by_image else POINTNAV,),
@@ -128,7 +134,10 @@ def prepare(drive: Drive) -> Prepared:
         "version": package_version(),
     }
     voxel_map = None if map_file is None else VoxelMap.load(map_file)
-    notice = None if voxel_map is None else map_notice(voxel_map, task.start)
+    notice = None
+    if voxel_map is not None:
+        known = task_set(apartment, HolonomicRobot(), "test", CHECKED_TASKS).tasks
+        notice = map_notice(voxel_map, task.start, np.array([xy for one in known for xy in (one.start[:2], one.goal)]))
     return Prepared(drive, episode, task, content, voxel_map, image, manifest, notice)
 
 
@@ -163,6 +172,12 @@ def finished_by(video: bool) -> str:
     return VIDEO if video else PICTURE
 
 
+def navigators() -> list[str]:
+    """Return the names of the agents that drive to a place or to an image, or without a goal."""
+    tasks = ("pointgoal", "imagegoal", ANY_TASK)
+    return sorted(name for name, kind in AGENTS.items() if kind.robot == "holonomic" and kind.task in tasks)
+
+
 def _image(path: Path) -> UInt8[np.ndarray, "height width 3"]:
     """Read the image of a goal, of the size of the robot's camera."""
     image, camera = colour_image(path, None), CameraConfig()
@@ -183,14 +198,26 @@ def _map_file(drive: Drive, needed: bool) -> Path | None:
     return None if drive.map is None else shipped(drive.map, MAPS)
 
 
-def map_notice(voxel_map: VoxelMap, start: tuple[float, float, float]) -> str | None:
-    """Return what to say of a map that does not show the start as free; None of others."""
-    p = jnp.array([*start[:2], START_HEIGHT], jnp.float32)
-    seen = float(voxel_map.precision(p)[0]) > OBSERVED_PRECISION
-    if seen and float(voxel_map.occupancy_at(p)) < 0.0:
-        return None
-    what = "an obstacle" if seen else "nothing"
-    return f"the map shows {what} at the start ({start[0]:.2f}, {start[1]:.2f}): is it a map of this scene?"
+def map_notice(voxel_map: VoxelMap, start: tuple[float, float, float], free: np.ndarray) -> str | None:
+    """Return what to say of a map that does not show free places of the scene as free; None of others.
+
+    Args:
+        voxel_map: that the agent is given.
+        start: of the task, x, y (m), heading (rad).
+        free: places where the robot fits in the scene, ``(n, 2)`` m.
+    """
+    places = np.concatenate([[start[:2]], free])
+    p = jnp.asarray(np.column_stack([places, np.full(len(places), START_HEIGHT)]), jnp.float32)
+    seen = np.asarray(jax.vmap(lambda one: voxel_map.precision(one)[0])(p)) > OBSERVED_PRECISION
+    occupied = seen & (np.asarray(jax.vmap(voxel_map.occupancy_at)(p)) >= 0.0)
+    where = f"({start[0]:.2f}, {start[1]:.2f})"
+    if occupied[0] or not seen[0]:
+        what = "an obstacle" if seen[0] else "nothing"
+        return f"the map shows {what} at the start {where}: is it a map of this scene?"
+    if occupied.mean() > MOST_OCCUPIED:
+        found = f"{occupied.sum()} of {len(free)} places where the robot fits in this scene"
+        return f"the map shows obstacles at {found}: is it a map of this scene?"
+    return None
 
 
 def _task(drive: Drive, apartment: Apartment) -> Task:

@@ -323,7 +323,12 @@ def test_the_demo_shows_one_run_once_and_does_without_a_video(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("scene", "goal", "said"), [("elm", (3.0, 3.0), "is it a map of this scene?"), ("oak", (2.36, 5.36), None)]
+    ("scene", "goal", "said"),
+    [
+        ("elm", (3.0, 3.0), "is it a map of this scene?"),
+        ("moss", (6.5, 1.5), "places where the robot fits in this scene: is it a map of this scene?"),
+        ("oak", (2.36, 5.36), None),
+    ],
 )
 def test_a_map_of_another_scene_is_noticed(scene, goal, said):
     """The robot would look for itself in it for 65 steps, and its user for the reason for longer."""

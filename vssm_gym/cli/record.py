@@ -89,6 +89,8 @@ def record(
                 on_progress=progress,
             )
             following = f"vssm-gym map build {out} --out map.npz"
+            if robot == "worn":
+                following = f"vssm-gym train-dynamics {out} --out drive.npz"
         elif motion == "handheld":
             frames = recording.record_handheld(
                 scene,

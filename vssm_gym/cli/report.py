@@ -13,7 +13,7 @@ def report(
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     seed: int = 0,
 ) -> None:
-    """Write DIR/report.html: failures first, tables with 95 % intervals, curves, runs drawn on the learned map.
+    """Write DIR/report.html: failures first, tables with 95 % intervals, curves, and runs drawn on a map.
 
     Args:
         folder: folder of a sweep, finished or not.

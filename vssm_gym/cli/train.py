@@ -149,7 +149,12 @@ def train_dynamics(
     with atomic_write(beside) as temporary:
         temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     _print_comparison(report)
-    say(f"{out}: trained for {report['seconds']:.0f} s; the comparison is in {beside}")
+    if not found.fitted.improved:
+        say(
+            "warning: no update was better than `bias` on the held-out windows: train longer, or on more data",
+            error=True,
+        )
+    say(f"{out}: trained for {report['seconds']:.0f} s, compilation included; the comparison is in {beside}")
     if found.fitted.interrupted:
         raise Interrupted(f"{out} keeps the best of {report['updates']} updates")
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import shapely
 from jaxtyping import Float, UInt8
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.rendering.topdown import PLAN_ROBOT, TopDown
@@ -24,6 +24,8 @@ ENOUGH = 4  # rays of the coarse image that must meet a thing for it to count as
 TOO_CLOSE = 0.9  # m; things as close as this spoil a view
 FAR_ENOUGH = 8.0  # m; beyond, distance makes a view no better
 VIEWPOINTS_APART = 1.5  # m between the two viewpoints
+TICKS, TICKS_APART = (1, 2, 5, 10, 20, 50), 22.0  # metres between two numbers along a plan, and pixels at least
+TICK_SIZE, TICK_COLOUR = 10, (60, 60, 60)  # of these numbers: pixels, RGB
 _GAP = 4  # pixels between the pictures
 
 
@@ -32,7 +34,8 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
 
     The images are taken in the two largest rooms (both in the one room of a studio, at least VIEWPOINTS_APART from each
     other where it is large enough), each from where most pieces of furniture are seen that the other does not show.
-    Blue dots in the plan mark the viewpoints, their angles the field of view. The width follows the plan's proportions.
+    Blue dots in the plan mark the viewpoints, their angles the field of view; numbers along it are metres of the
+    scene's frame, x below and y on the left. The width follows the plan's proportions.
     A maze is drawn as its plan alone, since it is a world of two dimensions.
 
     Args:
@@ -68,7 +71,7 @@ def preview(apartment: Apartment, height: int = 360) -> UInt8[np.ndarray, "heigh
     aspect = float(np.clip((high[0] - low[0]) / (high[1] - low[1]), 0.5, 2.0))
     plan = TopDown(boxes, height, round(aspect * height))
     picture = np.full((height, round(aspect * height) + _GAP + config.width, 3), 255, dtype=np.uint8)
-    picture[:, : round(aspect * height)] = _with_cameras(plan, poses)
+    picture[:, : round(aspect * height)] = _with_metres(_with_cameras(plan, poses), plan, low, high)
     picture[:view_height, -config.width :] = views[0]
     picture[height - view_height :, -config.width :] = views[1]
     return picture
@@ -135,3 +138,27 @@ def _with_cameras(plan: TopDown, poses: list[Matrix4]) -> UInt8[np.ndarray, "hei
         pen.line([left, eye, right], fill=PLAN_ROBOT, width=2)
         pen.ellipse([eye[0] - 4, eye[1] - 4, eye[0] + 4, eye[1] + 4], fill=PLAN_ROBOT)
     return np.asarray(image)
+
+
+def _with_metres(
+    image: UInt8[np.ndarray, "height width 3"],
+    plan: TopDown,
+    low: Float[np.ndarray, "2"],
+    high: Float[np.ndarray, "2"],
+) -> UInt8[np.ndarray, "height width 3"]:
+    """Draw the scene's coordinates along the lower and the left edge of the plan, at whole metres."""
+    picture = Image.fromarray(image)
+    pen, font, height = ImageDraw.Draw(picture), ImageFont.load_default(TICK_SIZE), len(image)
+    corners = plan.pixels(np.array([low, high]))
+    scale = float((corners[1, 0] - corners[0, 0]) / (high[0] - low[0]))
+    every = next(metres for metres in TICKS if metres * scale >= TICKS_APART or metres == TICKS[-1])
+    for axis in (0, 1):
+        for metres in np.arange(math.ceil(low[axis] / every) * every, high[axis] + 1e-9, every):
+            at = float(plan.pixels(np.where(np.arange(2) == axis, metres, low))[axis])
+            line = [(at, height - 5), (at, height)] if axis == 0 else [(0, at), (5, at)]
+            pen.line(line, fill=TICK_COLOUR)
+            place, anchor = ((at, height - 6), "mb") if axis == 0 else ((7, at), "lm")
+            pen.text(
+                place, f"{metres:g}", fill=TICK_COLOUR, font=font, anchor=anchor, stroke_width=1, stroke_fill="white"
+            )
+    return np.asarray(picture)

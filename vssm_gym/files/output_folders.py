@@ -176,7 +176,7 @@ def _check_owner(out: Path, owner: Owner, resume: bool) -> None:
     for name in owner.identity:
         wanted, there = owner.content.get(name), found.get(name) if isinstance(found, dict) else None
         if there != wanted:
-            expected = f"{wanted}, as of this configuration; found {there}"
+            expected = f"{wanted}, as of this configuration; found {there}{_difference(owner.content, found)}"
             raise InputError(path, name, f"{expected}: another {owner.what} belongs into another folder ({ADVICE})")
     if owner.finished is not None and (out / owner.finished).exists():
         raise InputError(out, "folder", f"a new or empty folder: a finished run is never overwritten ({ADVICE})")
@@ -184,6 +184,16 @@ def _check_owner(out: Path, owner: Owner, resume: bool) -> None:
         if not resume and _has_data(out / name):
             expected = f"a folder without a {owner.what}; it holds {name}"
             raise InputError(out, "folder", f"{expected} ({RESUME}; or {ADVICE})")
+
+
+def _difference(wanted: Mapping[str, Any], found: Any) -> str:
+    """Return the first field in which the configurations of two manifests differ, in words; empty without one."""
+    here, there = (one.get("config") if isinstance(one, Mapping) else None for one in (wanted, found))
+    if not (isinstance(here, Mapping) and isinstance(there, Mapping)):
+        return ""
+    differing = (name for name in here if json.dumps(here[name]) != json.dumps(there.get(name)))
+    name = next(differing, None)
+    return "" if name is None else f", where {name} is {json.dumps(there.get(name)):.80}"
 
 
 def _data(out: Path, manifest: str) -> list[str]:

@@ -125,7 +125,7 @@ def test_the_command_writes_a_transition_and_a_comparison(monkeypatch, capsys, t
         write_euroc(tmp_path / name, dragged(24.0, seed, BIAS), packed=True)
     out = tmp_path / "learned.npz"
     asked = (tmp_path / "a", "--out", out, "--test", tmp_path / "b", "--horizon", 10, "--updates", 4)
-    code, printed, _ = run(monkeypatch, capsys, *asked)
+    code, printed, warned = run(monkeypatch, capsys, *asked)
     assert code == 0
     assert "parametric" in printed
     assert str(out) in printed
@@ -134,6 +134,8 @@ def test_the_command_writes_a_transition_and_a_comparison(monkeypatch, capsys, t
     assert found.trained["updates"] == 4
     report = json.loads(out.with_suffix(".json").read_text())
     assert set(report["parts"]) == {"trained on", "held out", "test: b"}
+    same = report["parts"]["held out"]["learned"]["position"] == report["parts"]["held out"]["bias"]["position"]
+    assert same == ("warning: no update was better than `bias`" in warned)
     for rows in report["parts"].values():
         assert set(rows) == {"euler", "bias", "parametric", "learned"}
         assert set(rows["learned"]["position"]) == {"1", "3", "10"}

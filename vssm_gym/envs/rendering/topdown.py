@@ -57,6 +57,12 @@ class TopDown:
         xy = np.asarray(xy, dtype=np.float64)
         return np.stack([(xy[..., 0] - self._left) * self._scale, (self._top - xy[..., 1]) * self._scale], axis=-1)
 
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Return the world's lowest and highest x, and lowest and highest y, of the image's edges, m."""
+        width, height = (side / self._scale for side in self._size)
+        return self._left, self._left + width, self._top - height, self._top
+
     def draw(
         self,
         path: np.ndarray,

@@ -69,6 +69,7 @@ class Fitted:
         seconds: that they took, compilation included.
         interrupted: whether it was ended before its time.
         score: of the best, on the held-out windows: m.
+        improved: whether any update was better there than the nominal step.
         gain: by which calibration multiplied the noise.
         noise: standard deviations of measured positions (m) and rotations (rad), as learned.
         history: a row each time the held-out windows were looked at.
@@ -79,6 +80,7 @@ class Fitted:
     seconds: float
     interrupted: bool
     score: float
+    improved: bool
     gain: float
     noise: tuple[float, float]
     history: list[dict[str, float]]
@@ -111,7 +113,8 @@ def fit(
     untrained_transition = model.transition
     optimizer = optimizer_for(config)
     moments, history = optimizer.init(_trained(model)), list[dict[str, float]]()
-    best, score, done, interrupted = model.transition, float(_judge(model.transition, held, dt)), 0, False
+    first = float(_judge(model.transition, held, dt))
+    best, score, done, interrupted = model.transition, first, 0, False
     try:
         for done in range(1, config.updates + 1):
             steps = max(2, round(_share(done / config.updates) * horizon))
@@ -135,7 +138,8 @@ def fit(
     best = eqx.tree_at(lambda t: t.network, untrained_transition, best.network)
     position, rotation = (float(std) for std in jnp.exp(model.log_stds))
     best, gain = calibrate(best, held, dt, (position, rotation))
-    return Fitted(best, done, time.monotonic() - began, interrupted, score, gain, (position, rotation), history)
+    seconds = time.monotonic() - began
+    return Fitted(best, done, seconds, interrupted, score, score < first, gain, (position, rotation), history)
 
 
 def optimizer_for(config: FitConfig) -> optax.GradientTransformation:
