@@ -1,4 +1,4 @@
-"""Draw the picture of one run of navigation: the run on the map, and the belief at four times of it."""
+"""Draw the picture of one run of navigation: the run on the map, the belief at four times of it, the goal's image."""
 
 import textwrap
 from typing import Any
@@ -29,12 +29,15 @@ from vssm_gym.viz.text import visible
 
 TIMES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)  # parts of the run at which the belief is shown
 WIDTH, TITLE_LINE = 8.2, 0.22  # inches, of the picture and of a line of its title
+IMAGES_HEIGHT = 2.2  # inches, of the images at the bottom
 TITLE_LETTERS = 56  # of a line of the title
 ROBOT_SHARE = 0.06  # of a small panel's longer edge, from the robot's centre to its tip
 
 
 def run(recording: Recording, m: VoxelMap | None, row: dict[str, Any]) -> Figure:
     """Draw the whole run on a map from above, and below it the belief with the plan at the times :data:`TIMES`.
+
+    Of a run to an image, the image and that of the camera at the end lie at the bottom.
 
     Args:
         recording: of a run that has ended.
@@ -48,8 +51,9 @@ def run(recording: Recording, m: VoxelMap | None, row: dict[str, Any]) -> Figure
     driven = f"{row['path_length']:.1f} m, {recording.track.seconds[-1]:.0f} s"
     title = [f"{row['agent']}: {driven}, {ending.word}", *textwrap.wrap(visible(ending.reason), TITLE_LETTERS)]
     edges = 0.5 + TITLE_LINE * len(title), 0.6  # inches for titles and keys
-    figure = Figure(figsize=(WIDTH, float(sum(heights) + sum(edges))), layout="constrained")
-    rows: Any = figure.subfigures(2, 1, height_ratios=np.add(heights, edges))
+    rows_high = [*np.add(heights, edges), *([] if recording.goal_rgb is None else [IMAGES_HEIGHT])]
+    figure = Figure(figsize=(WIDTH, float(sum(rows_high))), layout="constrained")
+    rows: Any = figure.subfigures(len(rows_high), 1, height_ratios=rows_high)
     axes = rows[0].subplots()
     pictures.draw_background(axes, background)
     bare(axes)
@@ -63,6 +67,12 @@ def run(recording: Recording, m: VoxelMap | None, row: dict[str, Any]) -> Figure
     for panel, moment in zip(rows[1].subplots(1, len(TIMES)), chosen, strict=True):
         _belief(panel, moment, recording, ending, bounds)
     rows[1].legend(handles=[*cell_handles(), *path_handles(TRUE_COLOUR)], loc="outside lower center", **KEY)
+    if recording.goal_rgb is not None:
+        images = {"image of the goal": recording.goal_rgb, "camera at the end": recording.moments[-1].rgb}
+        for panel, (name, image) in zip(rows[2].subplots(1, 2), images.items(), strict=True):
+            bare(panel)
+            panel.imshow(image)
+            panel.set_title(name, fontsize=8)
     return figure
 
 

@@ -162,6 +162,7 @@ def test_a_test_task_gives_start_and_goal_where_none_is_given(rooms):
 def test_an_image_is_a_goal_of_which_nothing_is_judged(rooms, tmp_path, monkeypatch, ending):
     """The agent sees the given image, whatever the stand-in's goal shows, and the row claims nothing about the goal."""
     image = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
+    image[:, 80:] = 255, 0, 255
     Image.fromarray(image).save(tmp_path / f"goal.{ending}")
     given = np.asarray(Image.open(tmp_path / f"goal.{ending}"))
     seen = []
@@ -182,6 +183,9 @@ def test_an_image_is_a_goal_of_which_nothing_is_judged(rooms, tmp_path, monkeypa
     assert all(row[field] is None for field in judged)
     assert row["steps"] == 5 and row["path_length"] > 0.0
     assert navigate_module.summary(row).startswith("success is not judged, ")
+    shown = np.asarray(Image.open(tmp_path / "run/run.png").convert("RGB")).astype(int)
+    lowest = shown[int(0.75 * len(shown)) :]
+    assert (np.abs(lowest - (255, 0, 255)).max(axis=-1) < 30).mean() > 0.05  # the goal's image lies at the bottom
 
 
 def test_an_agent_with_an_image_for_its_goal_is_judged_where_the_place_is_given(rooms, monkeypatch):

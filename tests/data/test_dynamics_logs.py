@@ -164,7 +164,7 @@ def test_another_file_is_refused(tmp_path):
     for path in (tmp_path / "a.txt", tmp_path / "none"):
         with pytest.raises(InputError, match="Blackbird"):
             read_dynamics(path)
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="this is another folder"):
         read_dynamics(tmp_path)
 
 

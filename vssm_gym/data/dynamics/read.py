@@ -10,6 +10,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import is_file
 
 HDF5 = (".hdf5", ".h5")  # endings of such files
+INDEXES = ("rgb.txt", "associations.txt", "groundtruth.txt")  # one of which a recording has at least
 
 
 def read_dynamics(path: str | Path) -> DynamicsLog:
@@ -21,8 +22,10 @@ def read_dynamics(path: str | Path) -> DynamicsLog:
     path = Path(path)
     if path.suffix.lower() in HDF5:
         return read_blackbird(path)
-    if path.is_dir():
-        return read_euroc(path) if find(path, IMU_FILES) else read_recording(path)
-    found = "this is another file" if is_file(path) else "there is none"
+    if path.is_dir() and find(path, IMU_FILES):
+        return read_euroc(path)
+    if any((path / name).exists() for name in INDEXES):
+        return read_recording(path)
+    found = "this is another folder" if path.is_dir() else "this is another file" if is_file(path) else "there is none"
     expected = "a Blackbird flight (.hdf5), a folder with EuRoC's csv files, or a recording (TUM folder)"
     raise InputError(path, "file", f"{expected}; {found}")
