@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.metric import Row
@@ -33,10 +34,15 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         _success_by_length(success, members, agent, colour, seed)
         _error_cdf(cdf, members, agent, colour)
         _error_growth(growth, members, agent, colour)
-    success.set(xlabel="geodesic length of the task, m", ylabel="success rate", ylim=(-0.04, 1.04))
+    farthest = 1.05 * max(row["geodesic"] for row in rows)
+    success.set(xlabel="geodesic length of the task, m", ylabel="success rate", xlim=(0, farthest), ylim=(-0.04, 1.04))
     cdf.set(
         xlabel="mean location error of an episode, m", ylabel="proportion of episodes", xscale="log", ylim=(0, 1.02)
     )
+    low, high = np.log10(cdf.dataLim.intervalx)
+    if np.isfinite([low, high]).all():  # whole decades, which alone have numbers: those between would overlap
+        cdf.set_xlim(10.0 ** np.floor(low), 10.0 ** max(np.ceil(high), np.floor(low) + 1.0))
+    cdf.xaxis.set_minor_formatter(NullFormatter())
     growth.set(xlabel="true path so far, m", ylabel="median location error, m")
     for axes in (success, cdf, growth):
         axes.grid(alpha=0.3, linewidth=0.5)
