@@ -234,7 +234,7 @@ def summarise(ranking: Ranking, rows: Sequence[Row], seed: int) -> Summary:
 
 
 def _tiles(ranking: Ranking, leader: Standing, members: Sequence[Row], rivals: int, tied: int, seed: int) -> list[Tile]:
-    best = f"best of {rivals + 1} by {ranking.main.label}" if rivals else "no rival"
+    best = f"best of {rivals + 1} by {ranking.main.label}" if rivals else "the only agent"
     if tied:
         best += f", then {ranking.then.label}"
     failed = sum(bool(row["failure"]) for row in members)
