@@ -28,6 +28,7 @@ from vssm_gym.model.transition.manifold import Manifold
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.grid_search.query import plan_by_search
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 CONTRIBUTING = fences(CHECKOUT / "CONTRIBUTING.md")
 MODEL = CHECKOUT / "docs" / "model.md"
 

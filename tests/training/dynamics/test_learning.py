@@ -24,6 +24,8 @@ from vssm_gym.training.dynamics.fit import FitConfig, fit, with_gain
 from vssm_gym.training.dynamics.learn import LearnConfig, learn
 from vssm_gym.training.dynamics.windows import windows
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")  # 150 s of a core instead of 320
+
 DT = 0.1  # s
 BIAS = np.array([0.1, -0.15, 0.05, 0.0, 0.0, 0.03])  # m/s^2, rad/s
 
