@@ -163,6 +163,7 @@ ANSWERS = {
     "camera's pose": "p_world = T_world_cam @ p_cam",
     "noise of the depth": "rgbd_noise.py",
     "equation such as I12": "`vssm_gym.inference.alignment.adam",
+    "a picture was taken": "vssm-gym navigate --scene oak --map oak --goal picture.png",
     "own camera": "prism.step(",
     "render a view": "vg.render(",
     "covariance of the belief": "info.belief.covariance",

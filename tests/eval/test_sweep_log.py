@@ -129,7 +129,7 @@ def test_tasks_are_a_count_a_range_or_a_list(tmp_path, tasks, ids):
             "scenes: baobab\nagents: random\ntasks: 1",
             r"scenes: expected a built-in scene \(.*oak.*\), procedural:SEED or",
         ),
-        ("scenes: oak\nagents: random\ntasks: 1\nrobot: tank", r"robot: expected one of holonomic; found 'tank'"),
+        ("scenes: oak\nagents: random\ntasks: 1\nrobot: tank", r"robot: expected one of holonomic, worn; found 'tank'"),
         ("scenes: oak\nagents: vi_mpc\ntasks: 1", r"agents: expected one of astar, .*; found 'vi_mpc'"),
         (
             "scenes: arena\nenv: vssm_gym/CarNav-v0\nagents: vi_mpc\ntasks: 1",

@@ -247,7 +247,7 @@ def test_gymnasium_accepts_it() -> None:
 
 
 def test_an_unknown_robot_is_refused_and_the_known_ones_are_listed() -> None:
-    with pytest.raises(InputError, match="robot: expected one of 'holonomic', 'differential'; found 'tracked'"):
+    with pytest.raises(InputError, match="robot: expected one of 'holonomic', 'worn', 'differential'; found 'tracked'"):
         make(robot="tracked")
 
 
