@@ -36,8 +36,8 @@ def evaluate(
         tasks: number of the scene's test tasks.
         robot: that drives in the simulator: holonomic, or worn, whose drive lags and slips.
         noise: execution noise: none, low, mid, high or locobot.
-        transition: file of `vssm-gym train-dynamics` by which robots move in imagination; by default they move as the
-            holonomic robot does.
+        transition: file of `vssm-gym train-dynamics` by which robots move in imagination, with its own noise; by
+            default they move as the holonomic robot does.
         map: map file in which the policy's agent tracks its pose and in which the tasks are imagined, such as the one
             trained in; by default one is learned from a recorded drive.
         resume: continue the same evaluation in OUT.
