@@ -204,11 +204,13 @@ def watched(base: type[vg.Transition], manifold: Manifold) -> tuple[type[vg.Tran
     """Return a transition like ``base`` that records what is read of it."""
     members = Members()
 
-    class Space:
-        """Answer as the manifold does; compared by identity, as compiled functions compare manifolds."""
+    class Space(type(manifold)):  # type: ignore[misc]
+        """Answer as the manifold does; equal to itself alone, as what was compiled for an equal one reads nothing."""
+
+        __eq__, __hash__ = object.__eq__, object.__hash__
 
         def __getattribute__(self, name: str) -> Any:
-            value = getattr(manifold, name)
+            value = super().__getattribute__(name)
             caller = sys._getframe(1).f_globals["__name__"]  # the checker of annotations reads every member
             ours = caller.startswith("vssm_gym.") and not name.startswith("__")
             return members.recorded(members.manifold, name, value) if ours else value
