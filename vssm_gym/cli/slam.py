@@ -34,7 +34,7 @@ def slam(
     max_depth: float = 8.0,
     depth: Literal["good", "stereo"] = "good",
     imu: bool = False,
-    method: Literal["prism", "tracker"] = "prism",
+    method: Literal["prism", "smoother", "tracker"] = "prism",
     map: Path | None = None,
     start: str | None = None,
     refine: bool = False,
@@ -59,7 +59,8 @@ def slam(
             uncertainty and the pose estimate for the map's.
         max_depth: metres; readings beyond it are ignored.
         depth: kind of depth sensor: good (structured light, or stereo at short range) or stereo (noisy, long range).
-        method: prism estimates pose and map; tracker estimates the pose in a given map, which stays fixed.
+        method: prism filters pose and map; smoother finds the newest poses together, and in the end all of them,
+            without a filter; tracker estimates the pose in a given map, which stays fixed.
         map: map file for the tracker, from another run of slam or from map build.
         start: x,y,z,qx,qy,qz,qw for the tracker: approximate pose of the first camera in the map (default: its origin).
         refine: smooth all poses at once when the filter has ended, and make the map anew; for prism.

@@ -31,7 +31,7 @@ OBSERVED_COLOUR = "#0072b2"
 SLICE_MARGIN = 0.4  # m around the content of a slice
 SHOWN_FRAMES = 5  # frames whose images are shown beside the map's, spread over the run
 SLICE_PIXELS = 420  # of a slice along its longer edge, at most
-STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9"}
+STAGES = {"track": "#0072b2", "map": "#0b6e4f", "reference": "#e69f00", "recover": "#56b4e9", "smooth": "#cc79a7"}
 ELLIPSES = 25  # drawn along a path
 CALIBRATION_COLOURS = ("#0072b2", "#d55e00")  # of pose and velocity
 

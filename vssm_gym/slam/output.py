@@ -134,7 +134,7 @@ def _process(
     with _TrajectoryFile(out) as file:
         run = run_slam(sequence, options, finished, on_progress)
     refined = None
-    if options.refine:
+    if options.refine or options.method == "smoother":
         refined = refine(run, options, on_progress)
         run = refined.run
         _write(

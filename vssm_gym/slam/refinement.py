@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp, se3_log
 from vssm_gym.inference.filter import Rig
+from vssm_gym.inference.mapping import rolling_window
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.prism.filter import Prism, with_sensor_errors
 from vssm_gym.inference.smoothing.gauss_newton import Smoothed, SmoothingConfig, smooth
@@ -66,9 +67,9 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
         The refined run. Frames that the filter lost stay out of it, and move with their neighbours.
     """
     began = time.perf_counter()
-    prism = options.filter(run.reader.camera)
+    prism = options.prism(run.reader.camera)
     accepted = np.flatnonzero(~run.lost)
-    if len(accepted) < FEWEST_NODES or not isinstance(prism, Prism):
+    if len(accepted) < FEWEST_NODES:
         return Refinement(run, run, accepted, [], 0.0)
     nodes = accepted[np.unique(np.linspace(0, len(accepted) - 1, MOST_NODES).round().astype(int))]
     progress = on_progress or (lambda stage, done, total: None)
@@ -168,7 +169,7 @@ def _mapped(
     assert m is not None
     for done, i in enumerate(accepted, 1):
         image, T = _image(run, int(i)), jnp.asarray(T_world_cam[i], jnp.float32)
-        m, _ = prism.followed(m, T)
+        m, _ = rolling_window.followed(m, T[:3, 3], prism.config.window_margin)
         m = update(m, image.depth, image.rgb, T, prism.rig.camera, prism.config.update)
         progress("mapping", done, len(accepted))
     return m

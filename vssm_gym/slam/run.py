@@ -24,6 +24,7 @@ from vssm_gym.inference.mapping.map_update import MapUpdateConfig
 from vssm_gym.inference.prism.config import HAND, PrismConfig
 from vssm_gym.inference.prism.filter import Prism
 from vssm_gym.inference.prism.imu_control import ImuControl
+from vssm_gym.inference.smoothing.online import OnlineConfig, OnlineSmoother
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.inference.tracking.config import TrackingConfig
@@ -68,7 +69,8 @@ DEPTHS = {
         (0.5, 0.25),
     ),
 }
-METHODS = ("prism", "tracker")
+ONLINE = OnlineConfig()
+METHODS = ("prism", "smoother", "tracker")
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class SlamOptions:
     max_depth: float = MAX_DEPTH  # m; farther readings are left out
     depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
     imu: bool = False  # whether the sequence's IMU replaces constant velocity in the prior
-    method: str = "prism"  # one of METHODS: map and track, or track in ``map``
+    method: str = "prism"  # one of METHODS: filter, smooth without a filter, or track in ``map``
     map: Path | None = None  # of the tracker: the file of a learned map
     start: tuple[float, ...] | None = None  # of the tracker: about the first camera's pose, x y z qx qy qz qw
     refine: bool = False  # whether the smoother follows the filter
@@ -112,9 +114,11 @@ class SlamOptions:
         if self.method not in METHODS:
             raise InputError("slam", "method", one_of(METHODS, self.method))
         if self.refine and self.method != "prism":
-            raise InputError(
-                "slam", "refine", "False with method tracker: the map is given, and poses do not change it"
-            )
+            whys = {
+                "tracker": "the map is given, and poses do not change it",
+                "smoother": "all poses are smoothed at the end in any case",
+            }
+            raise InputError("slam", "refine", f"False with method {self.method}: {whys[self.method]}")
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
         if self.map is not None:
@@ -161,22 +165,44 @@ class SlamOptions:
         """Return the configuration of tracking."""
         return TrackingConfig(align=DEPTHS[self.depth].align, solver=self.solver)
 
-    def filter(self, camera: Camera) -> Prism | MapTracker:
+    @property
+    def update(self) -> MapUpdateConfig:
+        """Return the configuration of the map's update."""
+        return MapUpdateConfig(max_depth=self.max_depth, truncation=DEPTHS[self.depth].truncation)
+
+    def filter(self, camera: Camera) -> Prism | OnlineSmoother | MapTracker:
         """Return the filter of the method for images of a hand-held camera.
 
         Args:
             camera: of the images, at :attr:`size`.
 
         Returns:
-            PRISM, or the tracker in :attr:`map`.
+            PRISM, the smoother that needs no filter, or the tracker in :attr:`map`.
         """
         if self.method == "tracker":
             return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth, self.render_width)
+        if self.method == "smoother":
+            smoothing = replace(ONLINE.smoothing, align=self.tracking.align)
+            config = replace(
+                ONLINE,
+                smoothing=smoothing,
+                tracking=self.tracking,
+                update=self.update,
+                track_width=self.render_width,
+            )
+            return OnlineSmoother(Rig.of(camera), HAND, config)
+        return self.prism(camera)
+
+    def prism(self, camera: Camera) -> Prism:
+        """Return PRISM for images of a hand-held camera.
+
+        Args:
+            camera: of the images, at :attr:`size`.
+        """
         kind = DEPTHS[self.depth]
-        update = MapUpdateConfig(max_depth=self.max_depth, truncation=kind.truncation)
         config = PrismConfig(
             tracking=self.tracking,
-            update=update,
+            update=self.update,
             samples=self.samples,
             track_width=self.render_width,
             reference_distance=kind.reference_limits[0],
@@ -404,7 +430,7 @@ class _Tracker:
                 text = f"frames {self.start} to {index - 1}: none fits the first; the map is restarted at frame {index}"
                 self.notices.append(text)
             self.state = self.filter.init(self.options.prior(), image, jax.random.key(self.options.seed))
-            self.start, self._misses = index, 0 if self.options.method == "prism" else None
+            self.start, self._misses = index, 0 if self.options.method != "tracker" else None
             status = Status.LOST if self.state.lost else Status.OK
             if self.options.imu:
                 assert self.sequence.T_body_cam is not None
@@ -445,7 +471,7 @@ class _Tracker:
         """Return the control from the IMU since the last image; zeros (constant velocity) without one."""
         if self._imu is None:
             return jnp.zeros(6)
-        moving = state.past.belief.mean
+        moving = state.belief.mean
         T_world_cam, velocity = np.asarray(moving.T_world_body), np.asarray(moving.velocity)
         return jnp.asarray(self._imu(T_world_cam, velocity[3:], self.stamp, stamp), jnp.float32)
 

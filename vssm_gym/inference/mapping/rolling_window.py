@@ -31,6 +31,26 @@ def shift_to_centre(m: VoxelMap, position: Float[Array, "3"], margin: float | Fl
     return jnp.where(jnp.any(jnp.abs(off) > margin), blocks, 0)
 
 
+def followed(m: VoxelMap, position: Float[Array, "3"], margin: float | None) -> tuple[VoxelMap, int]:
+    """Move the map's window after a camera.
+
+    Args:
+        m: the map, consumed.
+        position: of the camera, m, world.
+        margin: distance from the window's middle from which on it moves, as a share of its edge; None: it never moves.
+
+    Returns:
+        The map, and how many observed blocks fell out of it.
+    """
+    if margin is None:
+        return m, 0
+    shift = _shift(m, position, margin * min(m.shape) * m.voxel_size)
+    if not shift.any():
+        return m, 0
+    m, fell = move(m, shift)
+    return m, int(fell)
+
+
 def _rows(m: VoxelMap) -> tuple[Array, ...]:
     return m.occupancy, m.occupancy_precision, m.colour, m.colour_precision, m.empty.level
 
@@ -91,3 +111,6 @@ def _release(m: VoxelMap, table: BlockTable, source: Array, leaving: Array) -> t
     taken = jnp.zeros(slots, bool).at[slot].set(True).at[PRIOR_SLOT].set(True)
     free = jnp.argsort(~taken, stable=True).astype(jnp.int32)  # those taken first
     return held, BlockTable(slot.reshape(m.blocks), free, table.used - count, table.refused), count
+
+
+_shift = jax.jit(shift_to_centre)

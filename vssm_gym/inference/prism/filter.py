@@ -67,6 +67,11 @@ class PrismState(eqx.Module):
     key: PRNGKeyArray
     measurement_noise: MeasurementNoise  # of the posterior
 
+    @property
+    def belief(self) -> GaussianBelief:
+        """Return ``q_t(z_t)``, of the body against the map."""
+        return self.past.belief
+
 
 @dataclass(frozen=True)
 class Prism:
@@ -188,7 +193,7 @@ class Prism:
         T, small = past.T_world_cam, past.image
         if config.tracking.exposure:
             image = _expose(image, located.gain)
-        m, dropped = self.followed(state.map, T)
+        m, dropped = rolling_window.followed(state.map, T[:3, 3], config.window_margin)
         before = drift.precision(m, T, small, view.camera)
         m = clock("map", self._mapped(m, image, past, mapping))
         past = _written(past, before, drift.precision(m, T, small, view.camera), small)
@@ -224,25 +229,6 @@ class Prism:
             errors = PoseErrors.of_ring(kept.T_world_cam, kept.count, past.considered.drift, self.rig.camera, reach)
             m = replace(m, pose_errors=errors)
         return Posterior(past.belief, m, state.measurement_noise)
-
-    def followed(self, m: VoxelMap, T_world_cam: Float[Array, "4 4"]) -> tuple[VoxelMap, int]:
-        """Move the map's window after the camera, where it has one.
-
-        Args:
-            m: the map, consumed.
-            T_world_cam: pose of the camera.
-
-        Returns:
-            The map, and how many observed blocks fell out of it.
-        """
-        margin = self.config.window_margin
-        if margin is None:
-            return m, 0
-        shift = _shift(m, T_world_cam[:3, 3], margin * min(m.shape) * m.voxel_size)
-        if not shift.any():
-            return m, 0
-        m, fell = rolling_window.move(m, shift)
-        return m, int(fell)
 
     @property
     def _turns(self) -> bool:
@@ -343,4 +329,3 @@ def with_sensor_errors(
 
 
 _expose = jax.jit(expose)
-_shift = jax.jit(rolling_window.shift_to_centre)

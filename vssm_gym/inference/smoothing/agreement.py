@@ -54,7 +54,8 @@ class NormalEquations(NamedTuple):
     gradient: Float[Array, "time 6"]
     by_region: Float[Array, "regions time 6"]  # the gradient's parts, by where the elements are
     cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most MOST_APART
-    pairs: Float[Array, ""]  # of an image and an element that it sees, with another one that sees it
+    by_image: Float[Array, "time"]  # number of elements that an image sees, and another one too
+    pairs: Float[Array, ""]  # their sum: of an image and an element that it sees, with another one that sees it
 
 
 @partial(jax.jit, static_argnames="config")
@@ -85,7 +86,7 @@ def normal_equations(
     by_region = jax.ops.segment_sum(parts.transpose(1, 0, 2), _region(elements.point), CUBES)
     pairs = jnp.sum(shared)
     cost = (geometry[2] + colour[2]) / jnp.maximum(pairs, 1.0)
-    return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, pairs)
+    return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, jnp.sum(shared, axis=1), pairs)
 
 
 def _mean(gradient: Array, seen: Array) -> Float[Array, "elements 3"]:

@@ -17,6 +17,8 @@ from jaxtyping import Array, Float
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
+STEPS_ALIKE = 8  # chains are compiled for multiples of so many steps
+
 
 class ChainEquations(NamedTuple):
     """Hold the quadratic cost of the states' errors, float64: its Hessian's blocks and its gradient."""
@@ -52,7 +54,11 @@ def chain_equations(
         controls: one for each step.
         dt: length of each step, s.
     """
-    e, A, B, W = (np.asarray(part, np.float64) for part in _linear(transition, states, controls, dt))
+    steps, more = len(dt), -len(dt) % STEPS_ALIKE
+    padded = jax.tree.map(
+        lambda leaf: jnp.concatenate([leaf, jnp.repeat(leaf[-1:], more, axis=0)]), (states, controls, dt)
+    )
+    e, A, B, W = (np.asarray(part, np.float64)[:steps] for part in _linear(transition, *padded))
     n, time = e.shape[1], len(e) + 1
     diagonal, gradient = np.zeros((time, n, n)), np.zeros((time, n))
     AW, BW = np.einsum("tki,tkl->til", A, W), np.einsum("tki,tkl->til", B, W)

@@ -91,7 +91,7 @@ def smooth(
         T_world_cam = manifold.pose(states) @ rig.T_body_cam
         elements = draw_elements(jax.random.fold_in(key, k), views, T_world_cam, config.elements)
         seen = normal_equations(views, T_world_cam, elements, config.align, jnp.float32(gate))
-        hessian, gradient, parts = _of_bodies(seen, twists, len(views.pixels) / config.align.pixels_per_datum)
+        hessian, gradient, parts = of_bodies(seen, twists, len(views.pixels) / config.align.pixels_per_datum)
         chain = of_poses(chain_equations(transition, start, states, controls, dt), p)
         H = hessian + chain.hessian
         xi = -scipy.linalg.solve(H, gradient + chain.gradient, assume_a="pos", check_finite=False)
@@ -100,10 +100,10 @@ def smooth(
         states = manifold.perturb(states, jnp.asarray(errors, jnp.float32))
         if on_iteration:
             on_iteration(k, costs[-1])
-    return Smoothed(states, _covariances(H, parts, chain, time), costs)
+    return Smoothed(states, covariances(H, parts, chain, time), costs)
 
 
-def _of_bodies(seen: NormalEquations, twists: np.ndarray, data: float) -> tuple[np.ndarray, ...]:
+def of_bodies(seen: NormalEquations, twists: np.ndarray, data: float) -> tuple[np.ndarray, ...]:
     """Return Hessian, gradient and its parts by region of the images' cost, by the coordinates of the bodies' poses.
 
     Args:
@@ -122,7 +122,7 @@ def _of_bodies(seen: NormalEquations, twists: np.ndarray, data: float) -> tuple[
     )
 
 
-def _covariances(H: np.ndarray, parts: np.ndarray, chain: PoseEquations, time: int) -> Float[np.ndarray, "time n n"]:
+def covariances(H: np.ndarray, parts: np.ndarray, chain: PoseEquations, time: int) -> Float[np.ndarray, "time n n"]:
     """``H^-1 (sum_c g_c g_c^T + P) H^-1``: the covariance of each state, errors within a region c being as one.
 
     The residuals of a surface err alike in all images that see it, so that their number says little. What the parts of

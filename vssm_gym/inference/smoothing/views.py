@@ -52,7 +52,7 @@ def stack_views(images: list[RGBD], camera: Camera, depth_std: tuple[float, floa
         camera: their intrinsics.
         depth_std: standard deviation of a reading, at the camera (m) and its growth with the depth squared (1/m).
     """
-    plane = jnp.stack([_planes(image.depth, camera, *depth_std) for image in images])
+    plane = jnp.stack([planes(image.depth, camera, *depth_std) for image in images])
     pixels = np.flatnonzero(np.asarray(plane[..., :3].any(axis=-1)))
     return StackedViews(plane, jnp.stack([luminance(image.rgb) for image in images]), jnp.asarray(pixels), camera)
 
@@ -69,10 +69,27 @@ def draw_elements(
         T_world_cam: poses of the camera at them.
         count: number of elements.
     """
-    time, height, width = views.luminance.shape
+    _, height, width = views.luminance.shape
     drawn = views.pixels[jax.random.randint(key, (count,), 0, len(views.pixels))]
-    image, pixel = drawn // (height * width), drawn % (height * width)
-    plane = views.plane.reshape(time, -1, 4)[image, pixel]
+    return elements_at(views, T_world_cam, drawn // (height * width), drawn % (height * width))
+
+
+@jax.jit
+def elements_at(
+    views: StackedViews,
+    T_world_cam: Float[Array, "time 4 4"],
+    image: Int[Array, "elements"],
+    pixel: Int[Array, "elements"],
+) -> Elements:
+    """Carry the planes at pixels of images into the world.
+
+    Args:
+        views: the images.
+        T_world_cam: poses of the camera at them.
+        image: numbers of images.
+        pixel: numbers of pixels in them, which have a plane.
+    """
+    plane = views.plane.reshape(len(views.plane), -1, 4)[image, pixel]
     ray = views.camera.rays().reshape(-1, 3)[pixel]
     normal = plane[:, :3]
     depth = plane[:, 3] / jnp.sum(normal * ray, axis=-1)
@@ -81,8 +98,15 @@ def draw_elements(
 
 
 @jax.jit
-def _planes(depth: Array, camera: Camera, std: float | Array, growth: float | Array) -> Float[Array, "height width 4"]:
-    """Return the plane through the neighbours of each pixel; 0 at edges, holes and grazing views."""
+def planes(depth: Array, camera: Camera, std: float | Array, growth: float | Array) -> Float[Array, "height width 4"]:
+    """Return the plane through the neighbours of each pixel; 0 at edges, holes and grazing views.
+
+    Args:
+        depth: of an image, m; 0 or not finite where there is none.
+        camera: of the image.
+        std: of a reading at the camera, m.
+        growth: of that standard deviation with the depth squared, 1/m.
+    """
     depth = jnp.where(jnp.isfinite(depth) & (depth > 0.0), depth, 0.0)
     p = camera.rays() * depth[..., None]
     beside = lambda a, by, axis: (jnp.roll(a, -by, axis), jnp.roll(a, by, axis))

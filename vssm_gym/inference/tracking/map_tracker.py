@@ -55,6 +55,11 @@ class TrackerState(eqx.Module):
     key: PRNGKeyArray  # of a solver that draws; the same at every step
     measurement_noise: MeasurementNoise  # of the posterior
 
+    @property
+    def belief(self) -> GaussianBelief:
+        """Return ``q(z_t)``."""
+        return self.past.belief
+
 
 @dataclass(frozen=True)
 class MapTracker:

@@ -1,0 +1,130 @@
+"""Test the smoother that starts from nothing: it follows a camera, skips what it cannot see, and corrects drift."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.helpers.prism_room import CAMERA, DT, image, true_pose
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import se3_log
+from vssm_gym.inference.filter import Filter, Rig
+from vssm_gym.inference.prism.config import HAND
+from vssm_gym.inference.smoothing.gauss_newton import SmoothingConfig
+from vssm_gym.inference.smoothing.online import OnlineConfig, OnlineSmoother
+from vssm_gym.inference.status import Status
+from vssm_gym.inference.tracking.camera_filter import at_rest
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
+from vssm_gym.model.emission import RGBD
+from vssm_gym.model.posterior import Posterior
+from vssm_gym.model.transition import RIGID
+
+CONFIG = OnlineConfig(smoothing=SmoothingConfig(elements=1500, gates=(0.1, 0.05)), free=4, held=3, spacing=0.05)
+SMOOTHER = OnlineSmoother(Rig.of(CAMERA), HAND, CONFIG)
+DARK = RGBD.from_camera(np.zeros((60, 80, 3), np.uint8), np.zeros((60, 80), np.float32))
+FRAMES = 12
+
+
+def prior() -> Posterior:
+    start = at_rest(RIGID, jnp.asarray(true_pose(0), jnp.float32), 1e-8 * jnp.eye(6), (1.0, 1.0))
+    return Posterior(start, VoxelMap.cube((0.0, 0.0, 0.0), 6.0, 0.1))
+
+
+def followed(images: dict[int, RGBD] | None = None, smoother: OnlineSmoother = SMOOTHER, seed: int = 0):
+    """Return state, report and observed cells after each image of the path; ``images`` replaces some."""
+    state = smoother.init(prior(), image(0), jax.random.key(seed))
+    every = []
+    for k in range(1, FRAMES):
+        state, info = smoother.step(state, jnp.zeros(6), (images or {}).get(k, image(k)), DT)
+        observed = int((np.asarray(state.map.occupancy_precision) > OBSERVED_PRECISION).sum())
+        every.append((state, info, observed))  # the next step consumes the state's map
+    return every
+
+
+def error(info, k: int) -> np.ndarray:
+    T = jnp.asarray(np.linalg.inv(true_pose(k)), jnp.float32) @ info.belief.mean.T_world_body
+    return np.asarray(se3_log(T), float)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return followed()
+
+
+def test_it_is_a_filter():
+    assert isinstance(SMOOTHER, Filter)
+
+
+def test_it_follows_the_camera_from_nothing(run):
+    assert all(info.status is Status.OK for _, info, _ in run)
+    errors = np.stack([error(info, k) for k, (_, info, _) in enumerate(run, 1)])
+    moved = np.linalg.norm(true_pose(FRAMES - 1)[:3, 3] - true_pose(0)[:3, 3])
+    assert moved > 0.1
+    assert np.abs(errors[:, :3]).max() < 0.004
+    assert np.abs(errors[:, 3:]).max() < 0.004
+
+
+def test_velocities_are_found(run):
+    velocity = np.asarray(run[-1][1].belief.mean.velocity)
+    true = (true_pose(FRAMES - 1) - true_pose(FRAMES - 2))[:3, 3] / DT
+    assert np.abs(velocity[:3] - true).max() < 0.1
+
+
+def test_its_errors_are_within_what_it_states(run):
+    for k, (_, info, _) in enumerate(run, 1):
+        covariance = np.asarray(info.belief.covariance, float)
+        assert np.linalg.eigvalsh(covariance).min() > 0.0
+        xi = error(info, k)
+        assert xi @ np.linalg.solve(covariance[:6, :6], xi) / 6.0 < 5.0
+    std = [float(np.sqrt(np.trace(info.belief.covariance[:3, :3]))) for _, info, _ in run]
+    assert std[-1] > std[0]  # what has left the window stays as it is
+
+
+def test_an_image_enters_the_map_when_its_step_leaves_the_window(run):
+    observed = [seen for *_, seen in run]
+    assert observed[CONFIG.free - 2] == 0 < observed[CONFIG.free - 1] <= observed[-1]
+    assert all(len(state.window) <= CONFIG.free for state, *_ in run)
+    assert len(run[-1][0].earlier) > 1
+
+
+def test_a_dark_image_is_skipped_and_the_next_one_is_found():
+    every = followed({5: DARK, 6: DARK})
+    assert [info.status for _, info, _ in every[3:7]] == [Status.OK, Status.NO_READING, Status.NO_READING, Status.OK]
+    std = [float(np.sqrt(np.trace(info.belief.covariance[:3, :3]))) for _, info, _ in every]
+    assert std[5] > 2.0 * std[3] and std[6] < 0.5 * std[5]
+    assert np.abs(error(every[-1][1], FRAMES - 1)).max() < 0.006
+
+
+def test_an_image_of_another_place_is_not_accepted():
+    """Plain walls much nearer: no surface is shared."""
+    near = RGBD.from_camera(np.full((60, 80, 3), 128, np.uint8), np.full((60, 80), 0.3, np.float32))
+    every = followed({5: near})
+    assert every[4][1].status is Status.LOST
+    assert every[5][1].status is Status.OK
+    assert np.abs(error(every[-1][1], FRAMES - 1)).max() < 0.006
+
+
+def test_the_same_key_gives_the_same_poses(run):
+    again, other = followed(), followed(seed=1)
+    pose = lambda every: np.asarray(every[-1][1].belief.mean.T_world_body)
+    np.testing.assert_array_equal(pose(run), pose(again))
+    assert not np.array_equal(pose(run), pose(other))
+
+
+def test_earlier_images_are_thinned_beyond_their_most():
+    few = replace(SMOOTHER, config=replace(CONFIG, most_kept=2, spacing=0.01))
+    assert len(followed(smoother=few)[-1][0].earlier) <= 2
+
+
+def test_bad_input_is_named():
+    with pytest.raises(InputError, match="depth"):
+        SMOOTHER.init(prior(), DARK, jax.random.key(0))
+    with pytest.raises(InputError, match="map"):
+        SMOOTHER.init(replace(prior(), map=None), image(0), jax.random.key(0))
+    state = SMOOTHER.init(prior(), image(0), jax.random.key(0))
+    with pytest.raises(InputError, match="dt"):
+        SMOOTHER.step(state, jnp.zeros(6), image(1), 0.0)
+    with pytest.raises(InputError, match="control"):
+        SMOOTHER.step(state, jnp.zeros(3), image(1), DT)
