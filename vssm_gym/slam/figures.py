@@ -331,7 +331,7 @@ def latency(run: SlamRun) -> bytes:
     warm = [frame for frame in run.frames if frame.warm]
     stages = [
         ("whole step", [(frame.time, frame.step_s) for frame in warm], pictures.ESTIMATE_COLOUR),
-        ("read (beside the filter)", [(frame.time, frame.read_s) for frame in run.frames], "0.6"),
+        ("read (in a thread beside)", [(frame.time, frame.read_s) for frame in run.frames], "0.6"),
         ("wait for image", [(frame.time, frame.wait_s) for frame in run.frames[1:]], "0.3"),
     ]
     for stage, colour in STAGES.items():

@@ -171,7 +171,8 @@ class OnlineSmoother:
         )
         status = Status.LOST if readable(small, config.tracking) else Status.NO_READING
         view = view_of(small, rig.camera, config.smoothing.align)
-        if status is Status.NO_READING or not len(view.pixels):
+        fits = float(quality.inlier_share) >= config.tracking.min_score
+        if status is Status.NO_READING or not fits or not len(view.pixels):
             return unseen, FilterInfo(status, _newest(unseen), quality, dropped)
         newest = self._placed(found, view, image, control, dt, last)
         seen, share = clock("smooth", self._smoothed(replace(state, window=(*state.window, newest)), rig, drawing))

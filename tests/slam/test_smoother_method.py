@@ -1,0 +1,42 @@
+"""Test ``vssm-gym slam --method smoother``: no filter, the same results in the folder, and its own options."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.helpers.slam_recordings import FILES, FRAMES, names, poses_of, true_pose, write_sequence
+from vssm_gym.cli.slam import slam
+from vssm_gym.errors import InputError
+from vssm_gym.geometry.transforms import inverse
+from vssm_gym.slam.run import SlamOptions
+
+OPTIONS = {"size": "80x60", "voxel": 0.08, "extent": 6.4}
+TRUE = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])
+
+
+@pytest.mark.slow
+def test_a_recording_is_smoothed_from_nothing(tmp_path):
+    folder, out = write_sequence(tmp_path / "room", strange=4), tmp_path / "out"
+    slam(folder, out=out, method="smoother", **OPTIONS)
+    assert names(out) == FILES
+    stats = json.loads((out / "stats.json").read_text())
+    assert stats["config"]["method"] == "smoother"
+    assert [one["index"] for one in stats["lost"]] == [4]  # an image of another place
+    assert stats["refinement"]["frames"] == FRAMES - 1
+    assert stats["latency_ms"].keys() >= {"track", "smooth"}
+    _, poses = poses_of(out / "trajectory.txt")
+    off = np.linalg.norm(poses[:, :3, 3] - TRUE[:, :3, 3], axis=1)
+    assert np.delete(off, 4).max() < 0.006
+    assert "smooth" in (out / "report.html").read_text()
+
+
+def test_options_that_do_not_apply_are_refused(tmp_path):
+    options = SlamOptions(method="smoother")
+    with pytest.raises(InputError, match="smoothed at the end in any case"):
+        replace(options, refine=True)
+    with pytest.raises(InputError, match="map"):
+        replace(options, map=tmp_path / "map.npz")
+    with pytest.raises(InputError, match="start"):
+        replace(options, start=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
