@@ -358,6 +358,27 @@ INFERENCE = (
         (f"{OF_SMOOTHING}/test_agreement.py::test_a_motion_of_all_cameras_together_changes_nothing",),
     ),
     Mutant(
+        "window-without-earlier-images",
+        "vssm_gym/inference/smoothing/window.py",
+        "    views += [view for view, _ in earlier] + [nothing] * (held - len(earlier))",
+        "    views += [nothing] * held",
+        (f"{OF_SMOOTHING}/test_window.py::test_earlier_images_hold_the_window_in_place",),
+    ),
+    Mutant(
+        "window-whose-drift-is-forgotten",
+        "vssm_gym/inference/smoothing/online.py",
+        "        wider[:p, :p] += carried @ drift @ carried.T",
+        "        wider[:p, :p] += 0.0 * carried",
+        (f"{OF_SMOOTHING}/test_online.py::test_its_errors_are_within_what_it_states",),
+    ),
+    Mutant(
+        "image-of-another-place-accepted",
+        "vssm_gym/inference/smoothing/online.py",
+        "fits = float(quality.inlier_share) >= config.tracking.min_score",
+        "fits = True",
+        (f"{OF_SMOOTHING}/test_online.py::test_an_image_of_another_place_is_not_accepted",),
+    ),
+    Mutant(
         "smoothing-with-the-map-held-fixed",
         "vssm_gym/inference/smoothing/agreement.py",
         "hessian = (-coupled).at[index, :, index].add(own)",
