@@ -315,10 +315,15 @@ class SequenceWriter:
         if control is not None:
             self._files["controls.txt"].write(f"{time:.6f} " + " ".join(f"{value:.7g}" for value in control) + "\n")
 
+    @property
+    def calibration(self) -> CameraCalibration:
+        """Return what ``camera.json`` will hold."""
+        return CameraCalibration(self.camera, np.zeros(5), self.depth_scale, self.T_body_cam, self.colour)
+
     def close(self) -> None:
         """Finish the index files and write ``camera.json``."""
         for file in self._files.values():
             file.close()
-        stored = CameraCalibration(self.camera, np.zeros(5), self.depth_scale, self.T_body_cam, self.colour).as_json()
+        stored = self.calibration.as_json()
         with atomic_write(self.root / "camera.json") as temporary:
             temporary.write_text(json.dumps(stored, indent=1))
