@@ -60,7 +60,8 @@ class CameraCalibration:
             view = self.colour.view
             stored["colour"] = _stored(view.camera, self.colour.distortion)
             stored["colour"] |= {"T_depth_colour": np.asarray(view.T_depth_colour).tolist()}
-            stored["colour"] |= {"std": self.colour.std.tolist()}
+            if self.colour.std.any():  # a true one has none
+                stored["colour"] |= {"std": self.colour.std.tolist()}
         return stored
 
 
