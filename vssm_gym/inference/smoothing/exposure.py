@@ -15,9 +15,7 @@ ROUNDS = 3  # times that the weights follow from the residuals
 HELD = 1e-3  # of the mean weight of an image: precision of a gain about 1, which images without overlap need
 
 
-def gains(
-    luminance: Float[Array, "time elements"], seen: Float[Array, "time elements"]
-) -> Float[Array, "time"]:
+def gains(luminance: Float[Array, "time elements"], seen: Float[Array, "time elements"]) -> Float[Array, "time"]:
     """Return the gain of each image.
 
     Args:

@@ -43,6 +43,13 @@ class SmoothingConfig:
     gates: tuple[float, ...] = (0.1, 0.1, 0.05, 0.05, 0.05, 0.05)
 
 
+class ColourPrior(NamedTuple):
+    """Hold what is known about the colour camera's calibration: independent Gaussians about the stated one."""
+
+    stated: ColourCamera  # at the size of the views
+    std: Float[np.ndarray, "10"]  # of its parameters
+
+
 class Smoothed(NamedTuple):
     """Hold ``q(z_1:T)``: the states and the covariance of each one's error."""
 
@@ -64,11 +71,11 @@ def smooth(
     dt: Float[Array, "steps"],
     config: SmoothingConfig = SmoothingConfig(),
     on_iteration: Callable[[int, float], None] | None = None,
-    colour_std: Float[np.ndarray, "10"] | None = None,
+    colour_prior: ColourPrior | None = None,
 ) -> Smoothed:
     """``argmax p(z_1:T | x_1:T, u_1:T-1)``, and the covariance of its Laplace approximation.
 
-    With ``colour_std``, the calibration of the views' colour camera is found with the poses.
+    With ``colour_prior``, the calibration of the views' colour camera is found with the poses.
 
     Args:
         key: random key, of the elements.
@@ -81,7 +88,7 @@ def smooth(
         dt: length of each step, s.
         config: effort and weights.
         on_iteration: called with the number of an iteration and its cost.
-        colour_std: standard deviations of the calibration's parameters, about that of the views; None: it is known.
+        colour_prior: over the calibration, which starts from that of the views; None: that one is exact.
 
     Raises:
         InputError: not one image for each state, no image with a surface, or no colour camera to calibrate.
@@ -91,13 +98,13 @@ def smooth(
         raise InputError("smooth", "views", f"{time} images, one for each state; found {len(views.luminance)}")
     if not len(views.pixels):
         raise InputError("smooth", "views", "images that show a surface")
-    if colour_std is not None and views.colour is None:
+    if colour_prior is not None and views.colour is None:
         raise InputError("smooth", "views", "images of a colour camera apart, to learn its calibration")
     manifold, twists = transition.manifold, np.asarray(camera_twists(transition.manifold, rig), np.float64)
     p, n = twists.shape[1], len(manifold.turns)
-    prior = np.zeros(0) if colour_std is None else np.asarray(colour_std, np.float64) ** -2.0
-    theta = np.zeros(len(prior))  # since the stated calibration
-    stated = views.colour
+    prior, theta = np.zeros(0), np.zeros(0)  # precision of the calibration, and its difference from the stated one
+    if colour_prior is not None and views.colour is not None:
+        prior, theta = np.asarray(colour_prior.std, np.float64) ** -2.0, colour_prior.stated.difference(views.colour)
     costs: list[float] = []
     for k, gate in enumerate(config.gates):
         T_world_cam = manifold.pose(states) @ rig.T_body_cam
@@ -116,14 +123,14 @@ def smooth(
         xi, change = np.split(step, [time * p])
         errors = np.concatenate([xi.reshape(time, p), (chain.rest + chain.by_poses @ xi).reshape(time, n - p)], axis=1)
         states = manifold.perturb(states, jnp.asarray(errors, jnp.float32))
-        if len(change) and stated is not None and views.colour is not None:
+        if colour_prior is not None and views.colour is not None:
             calibrated = views.colour.moved(change)
-            views, theta = replace(views, colour=calibrated), stated.difference(calibrated)
+            views, theta = replace(views, colour=calibrated), colour_prior.stated.difference(calibrated)
         if on_iteration:
             on_iteration(k, costs[-1])
     errors = _errors(H, parts, known)
     found = Smoothed(states, _covariances(errors[: time * p, : time * p], chain, time), costs)
-    if not len(prior):
+    if colour_prior is None:
         return found
     return found._replace(colour=views.colour, colour_covariance=errors[time * p :, time * p :])
 
