@@ -108,7 +108,7 @@ def normal_equations(
     border = None
     if views.colour is not None:
         in_colour = T_world_cam[:, :3, :3] @ views.colour.T_depth_colour[:3, :3]
-        along = jnp.einsum("vi,tij->tvj", slope, in_colour)
+        along = _across_rays(_mean(seen.slope, coloured), elements.normal, in_colour, seen.point_colour)
         by_theta = jnp.einsum("tvi,tvik->tvk", along, displacements(seen.point_colour))
         border = _border(seen.luminance, by_pose(slope), by_theta, colour_std, coloured, config.huber, region)
     return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, pairs, border)
@@ -120,6 +120,19 @@ def _mean(gradient: Array, seen: Array) -> Float[Array, "elements 3"]:
     One for all: with its own, noisy one each image would resist a motion of all images together, which the map follows.
     """
     return jnp.einsum("tv,tvi->vi", seen, gradient) / jnp.maximum(jnp.sum(seen, axis=0), 1.0)[:, None]
+
+
+def _across_rays(slope: Array, normal: Array, R_world_colour: Array, q: Array) -> Float[Array, "time elements 3"]:
+    """Return the slope of the luminance as each image has it, of the one on the surface, colour camera frame.
+
+    A displacement along a ray moves nothing in the image, and the rays of an element differ: ``g - n <g, q> / <n, q>``
+    is the gradient ``g`` along the surface, extended so that it is constant along the ray of q.
+    """
+    g = slope - normal * jnp.sum(normal * slope, axis=-1, keepdims=True)
+    g, n = jnp.einsum("vi,tij->tvj", g, R_world_colour), jnp.einsum("vi,tij->tvj", normal, R_world_colour)
+    cosine = jnp.sum(n * q, axis=-1)
+    cosine = jnp.where(jnp.abs(cosine) < 0.1, jnp.inf, cosine)  # m: seen too aslant, or not at all
+    return g - n * (jnp.sum(g * q, axis=-1) / cosine)[..., None]
 
 
 def _by_twist(gradient: Array, T_world_cam: Array, point: Array) -> Float[Array, "time elements 6"]:

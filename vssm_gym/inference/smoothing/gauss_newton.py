@@ -27,6 +27,8 @@ from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 
+AVERAGED = 6  # last iterations, of whose calibrations the mean is taken
+
 
 @dataclass(frozen=True)
 class SmoothingConfig:
@@ -106,6 +108,7 @@ def smooth(
     if colour_prior is not None and views.colour is not None:
         prior, theta = np.asarray(colour_prior.std, np.float64) ** -2.0, colour_prior.stated.difference(views.colour)
     costs: list[float] = []
+    found_theta: list[np.ndarray] = []  # of each iteration
     for k, gate in enumerate(config.gates):
         T_world_cam = manifold.pose(states) @ rig.T_body_cam
         elements = draw_elements(jax.random.fold_in(key, k), views, T_world_cam, config.elements)
@@ -126,13 +129,16 @@ def smooth(
         if colour_prior is not None and views.colour is not None:
             calibrated = views.colour.moved(change)
             views, theta = replace(views, colour=calibrated), colour_prior.stated.difference(calibrated)
+            found_theta.append(theta)
         if on_iteration:
             on_iteration(k, costs[-1])
     errors = _errors(H, parts, known)
     found = Smoothed(states, _covariances(errors[: time * p, : time * p], chain, time), costs)
     if colour_prior is None:
         return found
-    return found._replace(colour=views.colour, colour_covariance=errors[time * p :, time * p :])
+    # Each iteration sees other elements: the mean of the last ones has seen them all.
+    calibrated = colour_prior.stated.moved(np.mean(found_theta[-AVERAGED:], axis=0))
+    return found._replace(colour=calibrated, colour_covariance=errors[time * p :, time * p :])
 
 
 def _of_bodies(seen: NormalEquations, twists: np.ndarray, data: float, shared: int) -> tuple[np.ndarray, ...]:
