@@ -14,6 +14,7 @@ OWNERS = {  # the motions that an option belongs to
     "noise": ("survey", "flight"),
     "metres": ("handheld",),
     "rate": ("handheld", "flight"),
+    "colour": ("handheld",),
     "flight": ("flight",),
     "speed": ("flight",),
     "yaw": ("flight",),
@@ -34,6 +35,7 @@ def record(
     speed: float | None = None,
     yaw: Literal["forward", "constant"] | None = None,
     size: str = "160x120",
+    colour: Literal["registered", "unregistered"] | None = None,
     seed: int = 0,
 ) -> None:
     """Record colour, depth, commands and true poses of a scene as a TUM folder.
@@ -56,6 +58,8 @@ def record(
         speed: peak speed of a flight, m/s; 2 by default.
         yaw: heading of a flight: along its motion (forward, the default) or constant.
         size: WIDTHxHEIGHT of the images.
+        colour: of a handheld recording: registered to depth (default), or unregistered, of a camera 2.5 cm beside it
+            whose stated calibration is off; the true one is in calibration_truth.json.
         seed: seed of the path and of all noise.
     """
     from vssm_gym.cli.shared.console import print_notices
@@ -68,7 +72,7 @@ def record(
     check_at_least("record", "seed", seed, 0)
     check_folder(out)
     given = {"robot": robot, "noise": noise, "metres": metres, "rate": rate}
-    given |= {"flight": flight, "speed": speed, "yaw": yaw}
+    given |= {"colour": colour, "flight": flight, "speed": speed, "yaw": yaw}
     for name, owners in OWNERS.items():
         if given[name] is not None and motion not in owners:
             raise InputError("record", name, f"none with --motion {motion}: it belongs to {' and '.join(owners)}")
@@ -99,9 +103,11 @@ def record(
                 rate=10.0 if rate is None else rate,
                 sensor_noise=sensor_noise,
                 camera=camera,
+                colour=colour or "registered",
                 seed=seed,
                 on_progress=progress,
             )
+            following += " --learn-camera" if colour == "unregistered" else ""
         else:
             frames = flights.record_flight(
                 scene,

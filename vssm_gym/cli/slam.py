@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -38,6 +38,7 @@ def slam(
     map: Path | None = None,
     start: str | None = None,
     refine: bool = False,
+    learn_camera: bool = False,
     seed: int = 0,
     viewer: bool = False,
 ) -> None:
@@ -64,6 +65,8 @@ def slam(
         map: map file for the tracker, from another run of slam or from map build.
         start: x,y,z,qx,qy,qz,qw for the tracker: approximate pose of the first camera in the map (default: its origin).
         refine: smooth all poses at once when the filter has ended, and make the map anew; for prism.
+        learn_camera: learn the calibration of a colour camera that is not registered to depth (field colour of
+            camera.json), and run again with it; OUT gets it as camera.json. For prism.
         imu: predict the motion from imu.txt instead of a constant velocity; the camera must rest for the first half
             second.
         seed: seed of the pose samples, and of the pixels that adam draws.
@@ -90,6 +93,7 @@ def slam(
         method=method,
         map=map,
         refine=refine,
+        learn_camera=learn_camera,
         start=None if start is None else parse_numbers("slam", "start", start, float, "numbers x,y,z,qx,qy,qz,qw"),
     )
     check_folder(out)
@@ -121,7 +125,18 @@ def slam(
         before = (stats.get("refinement") or {}).get("ate_before")
         filtered = f", {100.0 * before['rmse']:.2f} cm before it was refined" if before else ""
         say(f"ATE {100.0 * errors['ate_translation_se3']['rmse']:.2f} cm after SE(3) alignment{filtered}{held}")
+    if learned := stats.get("colour_camera"):
+        print_parameters(learned["parameters"])
     say(out / slam_output.REPORT)
+
+
+def print_parameters(parameters: Sequence[dict[str, Any]]) -> None:
+    """Print a learned calibration as a table, and what the recording does not tell."""
+    say(f"{'colour camera':<16}{'stated':>10}{'learned':>10}{'std':>8}")
+    for row in parameters:
+        told = "" if row["told"] else "  not told by this recording"
+        name = f"{row['name']}, {row['unit']}"
+        say(f"{name:<16}{row['stated']:>10.3f}{row['learned']:>10.3f}{row['std']:>8.3f}{told}")
 
 
 def print_warnings(notices: Sequence[str]) -> None:

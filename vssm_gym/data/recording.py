@@ -8,18 +8,22 @@ import itertools
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vssm_gym.data.colour_rig import draw_rig, write_truth
 from vssm_gym.data.handheld import walk
+from vssm_gym.data.intrinsics import ColourCalibration
 from vssm_gym.data.sequences import SequenceWriter
 from vssm_gym.envs.pointnav import PointNavEnv
+from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.robots.registry import HOLONOMIC_ROBOTS
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
 from vssm_gym.envs.sensors import CameraConfig, make_camera, rgbd_noise
-from vssm_gym.envs.sensors.rgbd_noise import NoisySensor
+from vssm_gym.envs.sensors.rgbd_noise import NoisySensor, SensorNoise
 from vssm_gym.envs.simulation import Simulation
 from vssm_gym.envs.streams import seeded_streams
 from vssm_gym.envs.tasks.navigation import TaskSampler
@@ -29,11 +33,13 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.json_file import read_json
 from vssm_gym.files.output_folders import check_new_folder, whole_folder
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.colour_camera import PARAMETERS, ColourCamera
 from vssm_gym.geometry.transforms import R_BODY_CAM
 from vssm_gym.planning.pursuit import steer
 from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
+COLOURS = ("registered", "unregistered")
 WAYPOINT_REACHED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
@@ -92,6 +98,7 @@ def record_handheld(
     rate: float = 10.0,
     sensor_noise: str = "none",
     camera: CameraConfig | None = None,
+    colour: str = "registered",
     seed: int = 0,
     on_progress: OnProgress | None = None,
 ) -> int:
@@ -104,33 +111,58 @@ def record_handheld(
         rate: frames a second.
         sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
         camera: size and angle of the images.
-        seed: of the path and of the sensor.
+        colour: registered to depth, or unregistered: of a camera beside it, whose true calibration
+            (:mod:`~vssm_gym.data.colour_rig`) is not the stated one.
+        seed: of the path, of the sensor and of the true calibration.
         on_progress: called with ("recording", frames, total) now and then.
 
     Raises:
         InputError: an unknown scene or noise, an impossible length or rate, or a folder that is not empty.
     """
     check_new_folder(out)
+    choose("record", "colour", colour, COLOURS)
     measured = rgbd_noise.sensor_noise(sensor_noise)
     apartment = load_scene(scene)
     path = walk(apartment, metres, rate, seed)
     eye = make_camera(apartment.boxes(), camera or CameraConfig())
     about = {"motion": "handheld", "metres": metres, "rate": rate, "body_radius": path.body}
-    about |= {"sensor_noise": sensor_noise, "renderer": eye.name, "seed": seed}
+    about |= {"sensor_noise": sensor_noise, "renderer": eye.name, "colour": colour, "seed": seed}
     T_body_cam = np.eye(4)
     T_body_cam[:3, :3] = R_BODY_CAM
     try:
         with folder_for(out, apartment, about) as unfinished:
-            writer = SequenceWriter(unfinished, eye.camera, T_body_cam, controls=False)
+            stated, true = draw_rig(eye.camera, seed) if colour == "unregistered" else (None, None)
+            writer = SequenceWriter(unfinished, eye.camera, T_body_cam, controls=False, colour=stated)
             sensor = NoisySensor(measured, eye.camera, _sensor_stream(seed))
+            beside = None if true is None else _Beside(apartment, true, measured, seed)
             for i, (time, T_world_cam) in enumerate(zip(path.times, path.T_world_cam, strict=True)):
-                writer.append(time, *sensor(*eye.render(T_world_cam), 1.0 / rate), T_world_cam)
+                rgb, depth = sensor(*eye.render(T_world_cam), 1.0 / rate)
+                if beside is not None:
+                    rgb = beside(T_world_cam, 1.0 / rate)
+                writer.append(time, rgb, depth, T_world_cam)
                 if on_progress and (i % 20 == 0 or i + 1 == len(path.times)):
                     on_progress("recording", i + 1, len(path.times))
             writer.close()
+            if true is not None:
+                known = ColourCalibration(true, std=np.zeros(PARAMETERS))
+                write_truth(unfinished, replace(writer.calibration, colour=known))
     finally:
         eye.close()
     return len(path.times)
+
+
+class _Beside:
+    """Render the images of a colour camera beside the depth camera, with an exposure and noise of their own."""
+
+    def __init__(self, apartment: Apartment, colour: ColourCamera, noise: SensorNoise, seed: int) -> None:
+        self._T_cam_colour = np.asarray(colour.T_depth_colour)
+        self._eye = RaycastCamera(apartment.boxes(), colour.camera)
+        self._sensor = NoisySensor(noise, colour.camera, seeded_streams(seed, ("colour",))["colour"])
+
+    def __call__(self, T_world_cam: np.ndarray, dt: float) -> np.ndarray:
+        """Return the colours seen from a pose of the depth camera, ``dt`` s after those before."""
+        rgb, _ = self._sensor(*self._eye.render(T_world_cam @ self._T_cam_colour), dt)
+        return rgb
 
 
 @contextmanager

@@ -12,15 +12,18 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from vssm_gym.data.distortion import distort
 from vssm_gym.data.images import colour_image, depth_image
 from vssm_gym.data.index import ASSOCIATION_TOLERANCE, Frame, read_frames
-from vssm_gym.data.intrinsics import DEPTH_SCALE, read_calibration
+from vssm_gym.data.intrinsics import DEPTH_SCALE, CameraCalibration, ColourCalibration, read_calibration
+from vssm_gym.data.registration import Registration
 from vssm_gym.data.trajectories import interpolate, read_trajectory, tum_line
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.numbers import read_table
 from vssm_gym.files.output_folders import check_new_folder
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.colour_camera import ColourCamera
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
 TRIED = 10  # first frames, of which one must be readable
@@ -32,7 +35,7 @@ class Sequence:
 
     root: Path
     frames: tuple[Frame, ...]
-    camera: Camera  # of the images as recorded (before undistortion)
+    camera: Camera  # of the depth images as recorded (before undistortion), and of colour that is registered to them
     distortion: np.ndarray  # (5,) k1 k2 p1 p2 k3
     depth_scale: float  # units a metre
     T_body_cam: np.ndarray | None  # (4, 4)
@@ -40,6 +43,12 @@ class Sequence:
     controls: np.ndarray  # (n, 1 + controls) time and command; empty where none were recorded
     notices: tuple[str, ...] = ()  # what was wrong with the index, a sentence each: for the user
     imu: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))  # (n, 7) time, rate, specific force; as imu.txt
+    colour: ColourCalibration | None = None  # of colour images that are not registered to depth
+
+    @property
+    def calibration(self) -> CameraCalibration:
+        """Return what ``camera.json`` holds."""
+        return CameraCalibration(self.camera, self.distortion, self.depth_scale, self.T_body_cam, self.colour)
 
     @property
     def times(self) -> np.ndarray:
@@ -69,7 +78,9 @@ class FrameReader:
     """Read frames of a sequence, undistorted and resized to ``width x height``, with the resulting camera.
 
     Colour is averaged over the source pixels of a target pixel; depth takes the nearest reading, because an average
-    across an edge is a surface that does not exist.
+    across an edge is a surface that does not exist. Where colour is another camera's, each depth pixel takes the colour
+    of its point, and one whose colour is unknown counts as without a reading
+    (:class:`~vssm_gym.data.registration.Registration`).
 
     A frame with a damaged image is black and has no depth, so that one bad file does not end a long run. ``notices``
     names each of them.
@@ -82,28 +93,56 @@ class FrameReader:
         source = sequence.camera
         width, height = size or (source.width, source.height)
         self.camera = source.resized(width, height)
+        self._u, self._v = _undistorted(source, self.camera, sequence.distortion)
         # Integer shrinking averages blocks first; the remaining factor is below 2 and bilinear.
         self._block = max(1, min(source.width // width, source.height // height))
-        v, u = np.mgrid[0:height, 0:width]
-        x, y = (u - self.camera.cx) / self.camera.fx, (v - self.camera.cy) / self.camera.fy
-        x, y = distort(x, y, sequence.distortion)
-        self._u, self._v = x * source.fx + source.cx, y * source.fy + source.cy
+        self._registration: Registration | None = None
+        self.colour: ColourCamera | None = None  # of :meth:`unregistered`; None where colour is registered
+        if (colour := sequence.colour) is not None:
+            recorded = colour.view.camera
+            self._registration = Registration(self.camera, colour)
+            self._block = max(1, int(recorded.K[0, 0] / self.camera.K[0, 0]))
+            across = min(width, recorded.width)
+            self._shrunk = recorded.width // across
+            self.colour = colour.view.resized(across, max(1, round(recorded.height * across / recorded.width)))
+            self._u_colour, self._v_colour = _undistorted(recorded, self.colour.camera, colour.distortion)
 
     def __len__(self) -> int:
         return len(self.sequence.frames)
 
     def __getitem__(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Return RGB uint8 (height, width, 3) and z-depth float32 (height, width), m; 0 where there is no reading."""
-        frame = self.sequence.frames[index]
-        size = (self.sequence.camera.width, self.sequence.camera.height)
-        try:
-            rgb, depth = colour_image(frame.rgb, size), depth_image(frame.depth, size)
-        except InputError as damage:
-            self._note(index, f"{damage}; the frame at {frame.time:.6f} s counts as empty")
+        read = self._read(index)
+        if read is None:
             size = (self.camera.height, self.camera.width)
             return np.zeros((*size, 3), np.uint8), np.zeros(size, np.float32)
+        rgb, depth = read
+        if self._registration is None:
+            return _sampled(rgb, self._u, self._v, self._block), depth
+        u, v, known = self._registration(depth)
+        return _sampled(rgb, u, v, self._block), np.where(known, depth, np.float32(0.0))
+
+    def unregistered(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return RGB as the colour camera :attr:`colour` sees it, and all readings of the depth camera."""
+        assert self.colour is not None
+        read, camera = self._read(index), self.colour.camera
+        if read is None:
+            empty = np.zeros((self.camera.height, self.camera.width), np.float32)
+            return np.zeros((camera.height, camera.width, 3), np.uint8), empty
+        return _sampled(read[0], self._u_colour, self._v_colour, self._shrunk), read[1]
+
+    def _read(self, index: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return colour as stored and depth at the reader's size, m; None where one of them is damaged."""
+        frame, camera, colour = self.sequence.frames[index], self.sequence.camera, self.sequence.colour
+        of_colour = camera if colour is None else colour.view.camera
+        try:
+            rgb = colour_image(frame.rgb, (of_colour.width, of_colour.height))
+            depth = depth_image(frame.depth, (camera.width, camera.height))
+        except InputError as damage:
+            self._note(index, f"{damage}; the frame at {frame.time:.6f} s counts as empty")
+            return None
         metres = depth.astype(np.float32) / np.float32(self.sequence.depth_scale)
-        return self._colour(rgb), self._nearest(np.where(np.isfinite(metres) & (metres > 0.0), metres, np.float32(0.0)))
+        return rgb, self._nearest(np.where(np.isfinite(metres) & (metres > 0.0), metres, np.float32(0.0)))
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -120,28 +159,26 @@ class FrameReader:
         inside = (u >= 0) & (u < image.shape[1]) & (v >= 0) & (v < image.shape[0])
         return np.where(inside, image[np.where(inside, v, 0), np.where(inside, u, 0)], 0).astype(image.dtype)
 
-    def _colour(self, rgb: np.ndarray) -> np.ndarray:
-        n = self._block if self._block > 2 else 1  # bilinear alone already averages 2x2
-        h, w = rgb.shape[0] // n * n, rgb.shape[1] // n * n
-        image = rgb[:h, :w].reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3), dtype=np.float32)
-        u = np.clip((self._u + 0.5) / n - 0.5, 0, image.shape[1] - 1.001)
-        v = np.clip((self._v + 0.5) / n - 0.5, 0, image.shape[0] - 1.001)
-        i, j = v.astype(int), u.astype(int)
-        a, b = (v - i)[..., None], (u - j)[..., None]
-        top = image[i, j] * (1 - b) + image[i, j + 1] * b
-        bottom = image[i + 1, j] * (1 - b) + image[i + 1, j + 1] * b
-        return np.rint(top * (1 - a) + bottom * a).astype(np.uint8)
+
+def _undistorted(source: Camera, target: Camera, distortion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return column and row in a recorded image of each pixel of the undistorted and resized one."""
+    v, u = np.mgrid[0 : target.height, 0 : target.width]
+    x, y = distort((u - target.cx) / target.fx, (v - target.cy) / target.fy, distortion)
+    return x * source.fx + source.cx, y * source.fy + source.cy
 
 
-def distort(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Convert undistorted to distorted normalised coordinates (Brown-Conrady); ``k`` = (k1, k2, p1, p2, k3)."""
-    k1, k2, p1, p2, k3 = k
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-    )
+def _sampled(rgb: np.ndarray, u: np.ndarray, v: np.ndarray, block: int) -> np.ndarray:
+    """Return colours at columns and rows of an image, bilinear between means of blocks."""
+    n = block if block > 2 else 1  # bilinear alone already averages 2x2
+    h, w = rgb.shape[0] // n * n, rgb.shape[1] // n * n
+    image = rgb[:h, :w].reshape(h // n, n, w // n, n, 3).mean(axis=(1, 3), dtype=np.float32)
+    u = np.clip((u + 0.5) / n - 0.5, 0, image.shape[1] - 1.001)
+    v = np.clip((v + 0.5) / n - 0.5, 0, image.shape[0] - 1.001)
+    i, j = v.astype(int), u.astype(int)
+    a, b = (v - i)[..., None], (u - j)[..., None]
+    top = image[i, j] * (1 - b) + image[i, j + 1] * b
+    bottom = image[i + 1, j] * (1 - b) + image[i + 1, j + 1] * b
+    return np.rint(top * (1 - a) + bottom * a).astype(np.uint8)
 
 
 def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None) -> Sequence:
@@ -156,13 +193,14 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
 
     Raises:
         InputError: an index file is missing or malformed, none of the first frames can be read, depth and colour
-            differ in size, or the intrinsics are of another size.
+            differ in size and are not two cameras, or the intrinsics are of another size.
     """
     root = Path(root)
     if not root.is_dir():
         raise InputError(root, "folder", "an existing sequence folder (TUM layout)")
     frames, notices = read_frames(root)
-    known = read_calibration(root, *_size(frames), intrinsics)
+    of_colour, of_depth, first = _sizes(frames)
+    known = read_calibration(root, *of_depth, intrinsics, of_colour, first)
     truth_path = root / "groundtruth.txt"
     truth = read_trajectory(truth_path) if truth_path.is_file() else None
     controls_path = root / "controls.txt"
@@ -180,6 +218,7 @@ def load_sequence(root: str | Path, intrinsics: tuple[float, ...] | None = None)
         controls,
         notices,
         _imu(root / "imu.txt"),
+        known.colour,
     )
 
 
@@ -199,8 +238,8 @@ def imu_line(time: float, reading: np.ndarray) -> str:
     return f"{time:.6f} " + " ".join(f"{value:.7g}" for value in reading) + "\n"
 
 
-def _size(frames: tuple[Frame, ...]) -> tuple[int, int]:
-    """Return width and height of the images, by the first readable frame."""
+def _sizes(frames: tuple[Frame, ...]) -> tuple[tuple[int, int], tuple[int, int], Frame]:
+    """Return width and height of colour and of depth, and the frame that they are found in: the first readable one."""
     first: InputError | None = None
     for frame in frames[:TRIED]:
         try:
@@ -209,11 +248,7 @@ def _size(frames: tuple[Frame, ...]) -> tuple[int, int]:
         except InputError as error:
             first = first or error
             continue
-        size, of_depth = rgb.shape[1::-1], depth.shape[1::-1]
-        if size != of_depth:
-            expected = f"the size of {frame.rgb.name}, {size[0]}x{size[1]}: depth registered to colour"
-            raise InputError(frame.depth, "size", f"{expected}; found {of_depth[0]}x{of_depth[1]}")
-        return size[0], size[1]
+        return (rgb.shape[1], rgb.shape[0]), (depth.shape[1], depth.shape[0]), frame
     assert first is not None
     raise first
 
@@ -228,15 +263,17 @@ class SequenceWriter:
         T_body_cam: np.ndarray,
         controls: bool = True,
         depth_scale: float = DEPTH_SCALE,
+        colour: ColourCalibration | None = None,
     ) -> None:
         """Create the folder and its index files.
 
         Args:
             root: new or empty folder.
-            camera: of the images.
-            T_body_cam: (4, 4) camera pose on the body.
+            camera: of the depth images, and of colour that is registered to them.
+            T_body_cam: (4, 4) pose of the depth camera on the body.
             controls: whether commands are recorded; otherwise there is no ``controls.txt``.
             depth_scale: units a metre; readings beyond 65535 units do not fit 16 bits and are stored as 0.
+            colour: stated calibration of colour images that are not registered; truth is no part of a recording.
         """
         self.root = Path(root)
         check_new_folder(self.root)
@@ -244,6 +281,7 @@ class SequenceWriter:
             (self.root / name).mkdir(parents=True, exist_ok=True)
         self.camera, self.T_body_cam = camera, np.asarray(T_body_cam, dtype=float)
         self.depth_scale = depth_scale
+        self.colour = colour
         names = ["rgb.txt", "depth.txt", "associations.txt", "groundtruth.txt"] + ["controls.txt"] * controls
         self._files = {name: (self.root / name).open("w") for name in names}
         self._files["groundtruth.txt"].write("# timestamp tx ty tz qx qy qz qw\n")
@@ -262,7 +300,7 @@ class SequenceWriter:
             time: Seconds.
             rgb: (height, width, 3) uint8.
             depth: (height, width) z-depth, m.
-            T_world_cam: (4, 4) true pose.
+            T_world_cam: (4, 4) true pose of the depth camera.
             control: the command since the frame before, where the writer has controls.
         """
         units = np.rint(np.asarray(depth, dtype=np.float64) * self.depth_scale)
@@ -277,17 +315,15 @@ class SequenceWriter:
         if control is not None:
             self._files["controls.txt"].write(f"{time:.6f} " + " ".join(f"{value:.7g}" for value in control) + "\n")
 
+    @property
+    def calibration(self) -> CameraCalibration:
+        """Return what ``camera.json`` will hold."""
+        return CameraCalibration(self.camera, np.zeros(5), self.depth_scale, self.T_body_cam, self.colour)
+
     def close(self) -> None:
         """Finish the index files and write ``camera.json``."""
         for file in self._files.values():
             file.close()
-        stored = {
-            "width": self.camera.width,
-            "height": self.camera.height,
-            "K": self.camera.K.tolist(),
-            "distortion": [0.0] * 5,
-            "depth_scale": self.depth_scale,
-            "T_body_cam": self.T_body_cam.tolist(),
-        }
+        stored = self.calibration.as_json()
         with atomic_write(self.root / "camera.json") as temporary:
             temporary.write_text(json.dumps(stored, indent=1))

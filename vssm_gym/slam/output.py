@@ -24,6 +24,7 @@ from vssm_gym.inference.status import Status
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
+from vssm_gym.slam.colour_learning import learn_colour, registered
 from vssm_gym.slam.figures import STAGES
 from vssm_gym.slam.real_time import real_time
 from vssm_gym.slam.refinement import refine
@@ -36,6 +37,7 @@ from vssm_gym.viz.stream import Viewer
 
 PARTIAL, TRAJECTORY, MAP, MESH = "trajectory.partial.txt", "trajectory.txt", "map.npz", "mesh.ply"
 STATS, REPORT, MANIFEST = "stats.json", "report.html", "slam.json"
+CAMERA = "camera.json"  # where its calibration was learned
 TRAJECTORY_HEADER = "# timestamp tx ty tz qx qy qz qw\n"  # of a trajectory
 MOST_OUTSIDE = 0.5  # a larger share of readings outside the map gives a warning
 LATENCY_NOTE = (
@@ -102,6 +104,10 @@ def _content_hash(sequence: Sequence) -> str:
         sequence.controls,
         sequence.imu,
     ]
+    if (colour := sequence.colour) is not None:
+        view = colour.view
+        content.update(repr((view.camera.width, view.camera.height)).encode())
+        arrays += [view.camera.K, np.asarray(view.T_depth_colour), colour.distortion, colour.std]
     for array in arrays:
         content.update(repr(None if array is None else array.shape).encode())
         content.update(np.asarray([] if array is None else array, np.float64).tobytes())
@@ -120,6 +126,8 @@ def _process(
     viewer: Viewer | None,
 ) -> dict[str, Any]:
     """Do the work of :func:`process` in a folder that it owns."""
+    if options.learn_camera and sequence.colour is None:
+        raise registered(sequence)
     start = time.perf_counter()
     images = FrameReader(sequence, options.size)  # for the viewer: the run keeps none of its images
 
@@ -133,10 +141,13 @@ def _process(
 
     with _TrajectoryFile(out) as file:
         run = run_slam(sequence, options, finished, on_progress)
-    refined = None
+    refined, colour = None, None
+    if options.learn_camera:
+        run, sequence, colour = learn_colour(run, sequence, options, on_progress)
     if options.refine or options.method == "smoother":
         refined = refine(run, options, on_progress)
         run = refined.run
+    if refined is not None or colour is not None:
         _write(
             out / TRAJECTORY,
             TRAJECTORY_HEADER + "".join(tum_line(frame.time, frame.T_world_cam) for frame in run.frames),
@@ -151,6 +162,13 @@ def _process(
             "seconds": refined.seconds,
             "ate_before": before["ate_translation_se3"] if before and "pairs" in before else None,
         }
+    if colour is not None:
+        stats["colour_camera"] = {
+            "rounds": colour.rounds,
+            "seconds": colour.seconds,
+            "parameters": [parameter._asdict() for parameter in colour.parameters],
+        }
+        _write(out / CAMERA, json.dumps(sequence.calibration.as_json(), indent=1) + "\n")
     mesh = surface_mesh(run.map)
     stats["map"] |= {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
     if viewer:

@@ -18,8 +18,8 @@ from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.mapping import rolling_window
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.prism.filter import Prism, with_sensor_errors
-from vssm_gym.inference.smoothing.gauss_newton import Smoothed, SmoothingConfig, smooth
-from vssm_gym.inference.smoothing.views import stack_views
+from vssm_gym.inference.smoothing.gauss_newton import ColourPrior, Smoothed, SmoothingConfig, smooth
+from vssm_gym.inference.smoothing.views import StackedViews, stack_views
 from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.maps.pose_errors import PoseErrors
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -32,6 +32,7 @@ from vssm_gym.slam.run import SlamOptions, SlamRun
 
 MOST_NODES = 300  # frames that are smoothed: the time of an iteration grows with their square
 FEWEST_NODES = 3  # accepted frames below which nothing is smoothed
+LONGER = 4  # further iterations where a calibration is learned, whose mean is taken
 STATED_POSES = 64  # whose poses' errors the map holds
 FIRST_POSE_STD = 1e-4  # m, rad: std of the first pose, which is the world's
 
@@ -71,7 +72,7 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
     accepted = np.flatnonzero(~run.lost)
     if len(accepted) < FEWEST_NODES:
         return Refinement(run, run, accepted, [], 0.0)
-    nodes = accepted[np.unique(np.linspace(0, len(accepted) - 1, MOST_NODES).round().astype(int))]
+    nodes = nodes_of(run)
     progress = on_progress or (lambda stage, done, total: None)
     images = []
     for done, i in enumerate(nodes, 1):
@@ -79,25 +80,7 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
         progress("reading", done, len(nodes))
     align = options.tracking.align
     views = stack_views(images, run.reader.camera, (align.geo_sigma, align.geo_sigma_quadratic))
-    states = RigidState(
-        jnp.asarray(run.poses[nodes], jnp.float32),
-        jnp.asarray([_velocity(run, int(i)) for i in nodes], jnp.float32),
-    )
-    manifold, config = prism.transition.manifold, SmoothingConfig(align=align)
-    start = at_rest(manifold, states.T_world_body[0], FIRST_POSE_STD**2 * jnp.eye(6), options.tracking.start_velocity)
-    steps = len(nodes) - 1
-    found = smooth(
-        jax.random.key(options.seed),
-        views,
-        Rig.of(run.reader.camera),
-        prism.transition,
-        start,
-        states,
-        jnp.zeros((steps, prism.transition.controls)),
-        jnp.asarray(np.diff(run.times[nodes]), jnp.float32),
-        config,
-        lambda k, cost: progress("smoothing", k + 1, len(config.gates)),
-    )
+    found = smooth_nodes(run, options, nodes, views, progress)
     T_world_cam = carried(run.poses, nodes, np.asarray(found.states.T_world_body, np.float64))
     nearest = np.abs(np.arange(len(run.frames))[:, None] - nodes).argmin(axis=1)
     velocity = np.asarray(found.states.velocity, np.float64)
@@ -113,6 +96,55 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
     posterior = Posterior(belief, replace(m, pose_errors=errors), run.posterior.measurement_noise)
     seconds = time.perf_counter() - began
     return Refinement(run, replace(run, frames=frames, posterior=posterior), nodes, found.costs, seconds)
+
+
+def nodes_of(run: SlamRun) -> Int[np.ndarray, "nodes"]:
+    """Return the numbers of the frames that are smoothed: those that were accepted, or some of many."""
+    accepted = np.flatnonzero(~run.lost)
+    return accepted[np.unique(np.linspace(0, len(accepted) - 1, MOST_NODES).round().astype(int))]
+
+
+def smooth_nodes(
+    run: SlamRun,
+    options: SlamOptions,
+    nodes: Int[np.ndarray, "nodes"],
+    views: StackedViews,
+    progress: OnProgress,
+    colour_prior: ColourPrior | None = None,
+) -> Smoothed:
+    """Smooth some frames of a run of PRISM.
+
+    Args:
+        run: finished.
+        options: of the run.
+        nodes: numbers of the frames, ascending.
+        views: their images.
+        progress: called after each iteration.
+        colour_prior: over the calibration of the views' colour camera, where that is learned.
+    """
+    prism = options.filter(run.reader.camera)
+    states = RigidState(
+        jnp.asarray(run.poses[nodes], jnp.float32),
+        jnp.asarray([_velocity(run, int(i)) for i in nodes], jnp.float32),
+    )
+    manifold, config = prism.transition.manifold, SmoothingConfig(align=options.tracking.align)
+    if colour_prior is not None:
+        config = replace(config, gates=config.gates + LONGER * config.gates[-1:])
+    start = at_rest(manifold, states.T_world_body[0], FIRST_POSE_STD**2 * jnp.eye(6), options.tracking.start_velocity)
+    steps = len(nodes) - 1
+    return smooth(
+        jax.random.key(options.seed),
+        views,
+        Rig.of(run.reader.camera),
+        prism.transition,
+        start,
+        states,
+        jnp.zeros((steps, prism.transition.controls)),
+        jnp.asarray(np.diff(run.times[nodes]), jnp.float32),
+        config,
+        lambda k, cost: progress("smoothing", k + 1, len(config.gates)),
+        colour_prior,
+    )
 
 
 def carried(

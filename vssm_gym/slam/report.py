@@ -79,6 +79,7 @@ def page(
         },
         errors=_errors(errors),
         refinement=_refinement(refined, display, truth) if refined and refined.costs else None,
+        colour_camera=_colour_camera(stats.get("colour_camera")),
         in_band=_in_band(stats["calibration"]),
         velocity=webp_image(states.velocity(run, truth)),
         pose_std=webp_image(states.pose_std(run)),
@@ -107,6 +108,20 @@ def _refinement(refined: Refinement, display: figures.Display, truth: Truth | No
         "seconds": f"{refined.seconds:.0f}",
         "picture": webp_image(refinement_figures.before_and_after(refined, display, truth)),
         "table": Table(["frame", "median |depth difference|, mm: image by image", "smoothed"], lines, 1),
+    }
+
+
+def _colour_camera(learned: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the table of a learned calibration, and the names of the numbers that the recording does not tell."""
+    if learned is None:
+        return None
+    rows = learned["parameters"]
+    lines = [[row["name"], row["unit"], *(f"{row[key]:.3f}" for key in ("stated", "learned", "std"))] for row in rows]
+    return {
+        "rounds": learned["rounds"],
+        "seconds": f"{learned['seconds']:.0f}",
+        "untold": ", ".join(row["name"] for row in rows if not row["told"]),
+        "table": Table(["parameter", "unit", "stated", "learned", "std"], lines, 2),
     }
 
 

@@ -92,6 +92,7 @@ class SlamOptions:
     map: Path | None = None  # of the tracker: the file of a learned map
     start: tuple[float, ...] | None = None  # of the tracker: about the first camera's pose, x y z qx qy qz qw
     refine: bool = False  # whether the smoother follows the filter
+    learn_camera: bool = False  # whether the calibration of a colour camera apart is learned
 
     def __post_init__(self) -> None:
         if not all(low <= n <= high for low, n, high in zip(SMALLEST_IMAGE, self.size, LARGEST_IMAGE, strict=True)):
@@ -119,6 +120,8 @@ class SlamOptions:
                 "smoother": "all poses are smoothed at the end in any case",
             }
             raise InputError("slam", "refine", f"False with method {self.method}: {whys[self.method]}")
+        if self.learn_camera and self.method == "tracker":
+            raise InputError("slam", "learn-camera", "False with method tracker: the filter runs again on a new map")
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
         if self.map is not None:

@@ -24,8 +24,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.colour_camera import ColourCamera, displacements
 from vssm_gym.geometry.transforms import inverse, transform
 from vssm_gym.inference.alignment.residuals import AlignConfig
+from vssm_gym.inference.smoothing.exposure import gains
 from vssm_gym.inference.smoothing.views import Elements, StackedViews
 
 UNREAD_BORDER = 3  # pixels at an image's edge that are not read
@@ -45,6 +47,17 @@ class Observed(NamedTuple):
     slope: Float[Array, "elements 3"]  # of the luminance by the place, 1/m, world
     point: Float[Array, "elements 3"]  # m, the element in the camera's frame
     seen: Float[Array, "elements"]  # 1, or 0
+    point_colour: Float[Array, "elements 3"]  # m, in the colour camera's frame
+    coloured: Float[Array, "elements"]  # 1 where the luminance is read as well, or 0
+
+
+class Border(NamedTuple):
+    """Hold the quadratic cost of what all images share: the calibration of the colour camera."""
+
+    hessian: Float[Array, "10 10"]
+    gradient: Float[Array, "10"]
+    by_region: Float[Array, "regions 10"]
+    with_poses: Float[Array, "time 6 10"]
 
 
 class NormalEquations(NamedTuple):
@@ -56,6 +69,7 @@ class NormalEquations(NamedTuple):
     cost: Float[Array, ""]  # mean of a residual's absolute value in standard deviations, at most MOST_APART
     by_image: Float[Array, "time"]  # number of elements that an image sees, and another one too
     pairs: Float[Array, ""]  # their sum: of an image and an element that it sees, with another one that sees it
+    border: Border | None  # where colour has a camera of its own
 
 
 @partial(jax.jit, static_argnames="config")
@@ -75,18 +89,30 @@ def normal_equations(
         config: standard deviations and weights of the alignment.
         gate: m, within which a plane may belong to an element.
     """
-    see = lambda at: _observe(at[0], at[1], at[2], views.camera, elements, config, gate)
+    colour_camera = views.colour or ColourCamera(views.camera, jnp.eye(4))
+    see = lambda at: _observe(at[0], at[1], at[2], views.camera, colour_camera, elements, config, gate)
     seen = jax.lax.map(see, (views.plane, views.luminance, T_world_cam))
-    shared = seen.seen * (jnp.sum(seen.seen, axis=0) >= 2.0)
+    shared, coloured = (which * (jnp.sum(which, axis=0) >= 2.0) for which in (seen.seen, seen.coloured))
+    if views.colour is not None:  # a gain that changes with the view would pass for an error of the calibration
+        gain = gains(seen.luminance, coloured)
+        seen = seen._replace(luminance=gain[:, None] * seen.luminance, slope=gain[:, None, None] * seen.slope)
     colour_std = jnp.full(seen.std.shape, config.rgb_sigma / config.rgb_weight**0.5)
-    by_pose = lambda gradient: _by_twist(_mean(gradient, shared), T_world_cam, seen.point)
-    geometry = _integrated(seen.distance, by_pose(seen.normal), seen.std, shared, config.huber)
-    colour = _integrated(seen.luminance, by_pose(seen.slope), colour_std, shared, config.huber)
+    slope = _mean(seen.slope, coloured)
+    by_pose = lambda gradient: _by_twist(gradient, T_world_cam, seen.point)
+    geometry = _integrated(seen.distance, by_pose(_mean(seen.normal, shared)), seen.std, shared, config.huber)
+    colour = _integrated(seen.luminance, by_pose(slope), colour_std, coloured, config.huber)
     hessian, parts = geometry[0] + colour[0], geometry[1] + colour[1]
-    by_region = jax.ops.segment_sum(parts.transpose(1, 0, 2), _region(elements.point), CUBES)
+    region = _region(elements.point)
+    by_region = jax.ops.segment_sum(parts.transpose(1, 0, 2), region, CUBES)
     pairs = jnp.sum(shared)
     cost = (geometry[2] + colour[2]) / jnp.maximum(pairs, 1.0)
-    return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, jnp.sum(shared, axis=1), pairs)
+    border = None
+    if views.colour is not None:
+        in_colour = T_world_cam[:, :3, :3] @ views.colour.T_depth_colour[:3, :3]
+        along = _across_rays(_mean(seen.slope, coloured), elements.normal, in_colour, seen.point_colour)
+        by_theta = jnp.einsum("tvi,tvik->tvk", along, displacements(seen.point_colour))
+        border = _border(seen.luminance, by_pose(slope), by_theta, colour_std, coloured, config.huber, region)
+    return NormalEquations(hessian, jnp.sum(parts, axis=1), by_region, cost, jnp.sum(shared, axis=1), pairs, border)
 
 
 def _mean(gradient: Array, seen: Array) -> Float[Array, "elements 3"]:
@@ -95,6 +121,19 @@ def _mean(gradient: Array, seen: Array) -> Float[Array, "elements 3"]:
     One for all: with its own, noisy one each image would resist a motion of all images together, which the map follows.
     """
     return jnp.einsum("tv,tvi->vi", seen, gradient) / jnp.maximum(jnp.sum(seen, axis=0), 1.0)[:, None]
+
+
+def _across_rays(slope: Array, normal: Array, R_world_colour: Array, q: Array) -> Float[Array, "time elements 3"]:
+    """Return the slope of the luminance as each image has it, of the one on the surface, colour camera frame.
+
+    A displacement along a ray moves nothing in the image, and the rays of an element differ: ``g - n <g, q> / <n, q>``
+    is the gradient ``g`` along the surface, extended so that it is constant along the ray of q.
+    """
+    g = slope - normal * jnp.sum(normal * slope, axis=-1, keepdims=True)
+    g, n = jnp.einsum("vi,tij->tvj", g, R_world_colour), jnp.einsum("vi,tij->tvj", normal, R_world_colour)
+    cosine = jnp.sum(n * q, axis=-1)
+    cosine = jnp.where(jnp.abs(cosine) < 0.1, jnp.inf, cosine)  # m: seen too aslant, or not at all
+    return g - n * (jnp.sum(g * q, axis=-1) / cosine)[..., None]
 
 
 def _by_twist(gradient: Array, T_world_cam: Array, point: Array) -> Float[Array, "time elements 6"]:
@@ -114,6 +153,7 @@ def _observe(
     grey: Array,
     T_world_cam: Array,
     camera: Camera,
+    colour: ColourCamera,
     elements: Elements,
     config: AlignConfig,
     gate: float | Array,
@@ -122,11 +162,7 @@ def _observe(
     T = inverse(T_world_cam)
     q = transform(T, elements.point)
     facing = elements.normal @ T[:3, :3].T
-    z = jnp.maximum(q[:, 2], 0.1)
-    u, v = camera.fx * q[:, 0] / z + camera.cx, camera.fy * q[:, 1] / z + camera.cy
-    high, wide = camera.height - 1 - UNREAD_BORDER, camera.width - 1 - UNREAD_BORDER
-    inside = (q[:, 2] > 0.1) & (u >= UNREAD_BORDER) & (u <= wide) & (v >= UNREAD_BORDER) & (v <= high)
-    u, v = jnp.clip(u, UNREAD_BORDER, wide), jnp.clip(v, UNREAD_BORDER, high)
+    u, v, z, inside = _pixels(q, camera)
     nearest = jnp.round(v).astype(jnp.int32) * camera.width + jnp.round(u).astype(jnp.int32)
     here = plane.reshape(-1, 4)[nearest]
     n = here[:, :3]
@@ -134,6 +170,27 @@ def _observe(
     std = config.geo_sigma + config.geo_sigma_quadratic * z**2
     same = jnp.sum(n * facing, axis=-1) > SAME_SIDE  # no plane has a normal of 0
     seen = inside & same & (jnp.abs(r) < jnp.maximum(gate, MOST_APART * std))
+    T_depth_colour = jnp.asarray(colour.T_depth_colour, q.dtype)
+    q_colour = transform(inverse(T_depth_colour), q)
+    value, slope, read = _luminance(grey, q_colour, colour.camera)
+    R_world_colour = T_world_cam[:3, :3] @ T_depth_colour[:3, :3]
+    one = lambda which: which.astype(jnp.float32)
+    normal, slope = n @ T_world_cam[:3, :3].T, slope @ R_world_colour.T
+    return Observed(r, normal, std, value, slope, q, one(seen), q_colour, one(seen & read))
+
+
+def _pixels(q: Array, camera: Camera) -> tuple[Array, Array, Array, Array]:
+    """Return column, row, depth, and whether the pixel is read, of points of the camera's frame."""
+    z = jnp.maximum(q[:, 2], 0.1)
+    u, v = camera.fx * q[:, 0] / z + camera.cx, camera.fy * q[:, 1] / z + camera.cy
+    high, wide = camera.height - 1 - UNREAD_BORDER, camera.width - 1 - UNREAD_BORDER
+    inside = (q[:, 2] > 0.1) & (u >= UNREAD_BORDER) & (u <= wide) & (v >= UNREAD_BORDER) & (v <= high)
+    return jnp.clip(u, UNREAD_BORDER, wide), jnp.clip(v, UNREAD_BORDER, high), z, inside
+
+
+def _luminance(grey: Array, q: Array, camera: Camera) -> tuple[Array, Array, Array]:
+    """Return luminance, its slope by the place (1/m, camera frame), and whether it is read, at points of the frame."""
+    u, v, z, inside = _pixels(q, camera)
     i, j = jnp.floor(u).astype(jnp.int32), jnp.floor(v).astype(jnp.int32)
     a, b = u - i, v - j
     flat = grey.reshape(-1)
@@ -145,12 +202,11 @@ def _observe(
     along_u = 0.5 * (mixed(1, 0) - mixed(-1, 0)) * camera.fx / z
     along_v = 0.5 * (mixed(0, 1) - mixed(0, -1)) * camera.fy / z
     slope = jnp.stack([along_u, along_v, -(along_u * q[:, 0] + along_v * q[:, 1]) / z], axis=-1)
-    in_world = lambda g: g @ T_world_cam[:3, :3].T
-    return Observed(r, in_world(n), std, mixed(0, 0), in_world(slope), q, seen.astype(jnp.float32))
+    return mixed(0, 0), slope, inside
 
 
-def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: float) -> tuple[Array, Array, Array]:
-    """Return the Hessian, the gradient of each element ``(time, elements, 6)`` and the cost, about the means."""
+def _about_means(value: Array, std: Array, seen: Array, huber: float) -> tuple[Array, Array, Array, Array]:
+    """Return Huber's weights, their sum for each element, residuals about the mean, and their sizes in deviations."""
     weight = seen / std**2
     for _ in range(REWEIGHTED + 1):
         total = jnp.maximum(jnp.sum(weight, axis=0), 1e-12)
@@ -158,7 +214,12 @@ def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: fl
         scaled = jnp.abs(off) / std
         weight = seen / std**2 * jnp.minimum(1.0, huber / jnp.maximum(scaled, 1e-9))
     total = jnp.maximum(jnp.sum(weight, axis=0), 1e-12)
-    off = value - jnp.sum(weight * value, axis=0) / total
+    return weight, total, value - jnp.sum(weight * value, axis=0) / total, scaled
+
+
+def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: float) -> tuple[Array, Array, Array]:
+    """Return the Hessian, the gradient of each element ``(time, elements, 6)`` and the cost, about the means."""
+    weight, total, off, scaled = _about_means(value, std, seen, huber)
     weighted = weight[..., None] * by_pose
     own = jnp.einsum("tvi,tvj->tij", weighted, by_pose)
     rows = (weighted / jnp.sqrt(total)[:, None]).transpose(1, 0, 2).reshape(value.shape[1], -1)
@@ -167,3 +228,19 @@ def _integrated(value: Array, by_pose: Array, std: Array, seen: Array, huber: fl
     index = jnp.arange(times)
     hessian = (-coupled).at[index, :, index].add(own)
     return hessian, weighted * off[..., None], jnp.sum(seen * jnp.minimum(scaled, MOST_APART))
+
+
+def _border(
+    value: Array, by_pose: Array, by_theta: Array, std: Array, seen: Array, huber: float, region: Array
+) -> Border:
+    """Return the cost of what all images share, about the means."""
+    weight, total, off, _ = _about_means(value, std, seen, huber)
+    mean = jnp.einsum("tv,tvk->vk", weight, by_theta) / total[:, None]
+    weighted = weight[..., None] * (by_theta - mean)
+    parts = jnp.einsum("tvk,tv->vk", weighted, off)
+    return Border(
+        jnp.einsum("tvk,tvl->kl", weighted, by_theta),
+        jnp.sum(parts, axis=0),
+        jax.ops.segment_sum(parts, region, CUBES),
+        jnp.einsum("tvi,tvk->tik", by_pose, weighted),
+    )

@@ -7,7 +7,7 @@ once, where the filter aligned every image to a map that the images before had w
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +17,7 @@ import scipy.linalg
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.colour_camera import ColourCamera
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.smoothing.agreement import NormalEquations, normal_equations
@@ -25,6 +26,8 @@ from vssm_gym.inference.smoothing.views import StackedViews, draw_elements
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
+
+AVERAGED = 6  # last iterations, of whose calibrations the mean is taken
 
 
 @dataclass(frozen=True)
@@ -42,12 +45,21 @@ class SmoothingConfig:
     gates: tuple[float, ...] = (0.1, 0.1, 0.05, 0.05, 0.05, 0.05)
 
 
+class ColourPrior(NamedTuple):
+    """Hold what is known about the colour camera's calibration: independent Gaussians about the stated one."""
+
+    stated: ColourCamera  # at the size of the views
+    std: Float[np.ndarray, "10"]  # of its parameters
+
+
 class Smoothed(NamedTuple):
     """Hold ``q(z_1:T)``: the states and the covariance of each one's error."""
 
     states: Any  # a pytree with a leading time axis
     covariance: Float[np.ndarray, "time n n"]
     costs: list[float]  # of each iteration, before it
+    colour: ColourCamera | None = None  # as learned; None where it was not asked for
+    colour_covariance: Float[np.ndarray, "10 10"] | None = None  # of its parameters' errors
 
 
 def smooth(
@@ -61,8 +73,11 @@ def smooth(
     dt: Float[Array, "steps"],
     config: SmoothingConfig = SmoothingConfig(),
     on_iteration: Callable[[int, float], None] | None = None,
+    colour_prior: ColourPrior | None = None,
 ) -> Smoothed:
     """``argmax p(z_1:T | x_1:T, u_1:T-1)``, and the covariance of its Laplace approximation.
+
+    With ``colour_prior``, the calibration of the views' colour camera is found with the poses.
 
     Args:
         key: random key, of the elements.
@@ -75,63 +90,96 @@ def smooth(
         dt: length of each step, s.
         config: effort and weights.
         on_iteration: called with the number of an iteration and its cost.
+        colour_prior: over the calibration, which starts from that of the views; None: that one is exact.
 
     Raises:
-        InputError: not one image for each state, or no image with a surface.
+        InputError: not one image for each state, no image with a surface, or no colour camera to calibrate.
     """
     time = len(jax.tree.leaves(states)[0])
     if len(views.luminance) != time:
         raise InputError("smooth", "views", f"{time} images, one for each state; found {len(views.luminance)}")
     if not len(views.pixels):
         raise InputError("smooth", "views", "images that show a surface")
+    if colour_prior is not None and views.colour is None:
+        raise InputError("smooth", "views", "images of a colour camera apart, to learn its calibration")
     manifold, twists = transition.manifold, np.asarray(camera_twists(transition.manifold, rig), np.float64)
     p, n = twists.shape[1], len(manifold.turns)
+    prior, theta = np.zeros(0), np.zeros(0)  # precision of the calibration, and its difference from the stated one
+    if colour_prior is not None and views.colour is not None:
+        prior, theta = np.asarray(colour_prior.std, np.float64) ** -2.0, colour_prior.stated.difference(views.colour)
     costs: list[float] = []
+    found_theta: list[np.ndarray] = []  # of each iteration
     for k, gate in enumerate(config.gates):
         T_world_cam = manifold.pose(states) @ rig.T_body_cam
         elements = draw_elements(jax.random.fold_in(key, k), views, T_world_cam, config.elements)
         seen = normal_equations(views, T_world_cam, elements, config.align, jnp.float32(gate))
-        hessian, gradient, parts = of_bodies(seen, twists, len(views.pixels) / config.align.pixels_per_datum)
+        hessian, gradient, parts = of_bodies(
+            seen, twists, len(views.pixels) / config.align.pixels_per_datum, len(prior)
+        )
         chain = of_poses(chain_equations(transition, start, states, controls, dt), p)
-        H = hessian + chain.hessian
-        xi = -scipy.linalg.solve(H, gradient + chain.gradient, assume_a="pos", check_finite=False)
+        known = scipy.linalg.block_diag(chain.hessian, np.diag(prior))
+        H = hessian + known
+        step = -scipy.linalg.solve(
+            H, gradient + np.append(chain.gradient, prior * theta), assume_a="pos", check_finite=False
+        )
         costs.append(float(seen.cost))
+        xi, change = np.split(step, [time * p])
         errors = np.concatenate([xi.reshape(time, p), (chain.rest + chain.by_poses @ xi).reshape(time, n - p)], axis=1)
         states = manifold.perturb(states, jnp.asarray(errors, jnp.float32))
+        if colour_prior is not None and views.colour is not None:
+            calibrated = views.colour.moved(change)
+            views, theta = replace(views, colour=calibrated), colour_prior.stated.difference(calibrated)
+            found_theta.append(theta)
         if on_iteration:
             on_iteration(k, costs[-1])
-    return Smoothed(states, covariances(H, parts, chain, time), costs)
+    errors = estimate_covariance(H, parts, known)
+    found = Smoothed(states, covariances(errors[: time * p, : time * p], chain, time), costs)
+    if colour_prior is None:
+        return found
+    # Each iteration sees other elements: the mean of the last ones has seen them all.
+    calibrated = colour_prior.stated.moved(np.mean(found_theta[-AVERAGED:], axis=0))
+    return found._replace(colour=calibrated, colour_covariance=errors[time * p :, time * p :])
 
 
-def of_bodies(seen: NormalEquations, twists: np.ndarray, data: float) -> tuple[np.ndarray, ...]:
-    """Return Hessian, gradient and its parts by region of the images' cost, by the coordinates of the bodies' poses.
+def of_bodies(seen: NormalEquations, twists: np.ndarray, data: float, shared: int) -> tuple[np.ndarray, ...]:
+    """Return Hessian, gradient and its parts by region of the images' cost.
+
+    They are by the coordinates of the bodies' poses, and then by the ``shared`` parameters of the colour camera.
 
     Args:
         seen: by the twists of the cameras, a sample of the pairs of an image and an element.
         twists: ``(6, p)`` of the camera, by the coordinates of a pose.
         data: independent readings of all images together: neighbouring pixels err alike.
+        shared: number of parameters of the colour camera that are not known; 0 or all.
     """
     share = data / max(float(seen.pairs), 1.0)
     hessian = np.einsum("ip,tisj,jq->tpsq", twists, np.asarray(seen.hessian, np.float64), twists, optimize=True)
     gradient = np.asarray(seen.gradient, np.float64) @ twists
     parts = np.asarray(seen.by_region, np.float64) @ twists
-    return (
-        share * hessian.reshape(gradient.size, gradient.size),
-        share * gradient.reshape(-1),
-        share * parts.reshape(len(parts), -1),
-    )
+    hessian, gradient = hessian.reshape(gradient.size, gradient.size), gradient.reshape(-1)
+    parts = parts.reshape(len(parts), -1)
+    if shared and seen.border is not None:
+        own, g, by_region, with_poses = (np.asarray(part, np.float64) for part in seen.border)
+        beside = np.einsum("ip,tik->tpk", twists, with_poses).reshape(len(gradient), -1)
+        hessian = np.block([[hessian, beside], [beside.T, own]])
+        gradient, parts = np.append(gradient, g), np.concatenate([parts, by_region], axis=1)
+    return share * hessian, share * gradient, share * parts
 
 
-def covariances(H: np.ndarray, parts: np.ndarray, chain: PoseEquations, time: int) -> Float[np.ndarray, "time n n"]:
-    """``H^-1 (sum_c g_c g_c^T + P) H^-1``: the covariance of each state, errors within a region c being as one.
+def estimate_covariance(H: np.ndarray, parts: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """``H^-1 (sum_c g_c g_c^T + P) H^-1``: the covariance of the estimate, errors within a region c being as one.
 
     The residuals of a surface err alike in all images that see it, so that their number says little. What the parts of
-    the gradient by region differ by says how large the errors are; P is the precision of the transition.
+    the gradient by region differ by says how large the errors are; P is the precision of the transition and of priors.
     """
     inverse = np.linalg.inv(H)
     spread = parts @ inverse
-    poses = spread.T @ spread + inverse @ chain.hessian @ inverse
-    p, r = len(H) // time, len(chain.rest) // time
+    return spread.T @ spread + inverse @ known @ inverse
+
+
+def covariances(poses: np.ndarray, chain: PoseEquations, time: int) -> Float[np.ndarray, "time n n"]:
+    """Return the covariance of each state, by that of the poses."""
+    p, r = len(poses) // time, len(chain.rest) // time
     across = chain.by_poses @ poses
     covariance = np.zeros((time, p + r, p + r))
     for t in range(time):

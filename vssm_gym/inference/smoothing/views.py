@@ -4,6 +4,7 @@ An element is a small piece of a surface: a point with a normal. Elements are pi
 (reconstruction sampling, VSSM-LM, section 4), carried into the world by the pose of their image.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.colour_camera import ColourCamera
 from vssm_gym.inference.alignment.residuals import luminance
 from vssm_gym.model.emission import RGBD
 
@@ -28,13 +30,15 @@ class StackedViews(eqx.Module):
         plane: unit normal and offset ``<n, p>`` (m) of the surface at each pixel, camera frame; 0 where there is none.
         luminance: in [0, 1].
         pixels: numbers of those that have a plane, counted over all images.
-        camera: intrinsics and size of the images.
+        camera: intrinsics and size of the depth images.
+        colour: the camera of the luminances, where it is another one; None: they are registered to depth.
     """
 
     plane: Float[Array, "time height width 4"]
-    luminance: Float[Array, "time height width"]
+    luminance: Float[Array, "time rows columns"]
     pixels: Int[Array, "pixels"]
     camera: Camera
+    colour: ColourCamera | None = None
 
 
 class Elements(eqx.Module):
@@ -52,9 +56,29 @@ def stack_views(images: list[RGBD], camera: Camera, depth_std: tuple[float, floa
         camera: their intrinsics.
         depth_std: standard deviation of a reading, at the camera (m) and its growth with the depth squared (1/m).
     """
-    plane = jnp.stack([planes(image.depth, camera, *depth_std) for image in images])
+    return _stacked([image.depth for image in images], [image.rgb for image in images], camera, depth_std)
+
+
+def stack_apart(
+    images: list[tuple[np.ndarray, np.ndarray]], camera: Camera, colour: ColourCamera, depth_std: tuple[float, float]
+) -> StackedViews:
+    """Compute planes and luminances of the images of two cameras.
+
+    Args:
+        images: colour uint8 ``(rows, columns, 3)`` and z-depth ``(height, width)`` in m.
+        camera: of depth.
+        colour: the other one, and its pose.
+        depth_std: as in :func:`stack_views`.
+    """
+    colours = [jnp.asarray(rgb, jnp.float32) / 255.0 for rgb, _ in images]
+    views = _stacked([jnp.asarray(depth) for _, depth in images], colours, camera, depth_std)
+    return replace(views, colour=colour)
+
+
+def _stacked(depths: list[Array], colours: list[Array], camera: Camera, depth_std: tuple[float, float]) -> StackedViews:
+    plane = jnp.stack([planes(depth, camera, *depth_std) for depth in depths])
     pixels = np.flatnonzero(np.asarray(plane[..., :3].any(axis=-1)))
-    return StackedViews(plane, jnp.stack([luminance(image.rgb) for image in images]), jnp.asarray(pixels), camera)
+    return StackedViews(plane, jnp.stack([luminance(rgb) for rgb in colours]), jnp.asarray(pixels), camera)
 
 
 @partial(jax.jit, static_argnames="count")
@@ -69,7 +93,7 @@ def draw_elements(
         T_world_cam: poses of the camera at them.
         count: number of elements.
     """
-    _, height, width = views.luminance.shape
+    _, height, width, _ = views.plane.shape
     drawn = views.pixels[jax.random.randint(key, (count,), 0, len(views.pixels))]
     return elements_at(views, T_world_cam, drawn // (height * width), drawn % (height * width))
 

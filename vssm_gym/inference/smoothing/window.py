@@ -20,7 +20,7 @@ from vssm_gym.inference.alignment.residuals import AlignConfig, luminance
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.smoothing.agreement import normal_equations
 from vssm_gym.inference.smoothing.chain import chain_equations, of_poses
-from vssm_gym.inference.smoothing.gauss_newton import SmoothingConfig, covariances, of_bodies
+from vssm_gym.inference.smoothing.gauss_newton import SmoothingConfig, covariances, estimate_covariance, of_bodies
 from vssm_gym.inference.smoothing.views import StackedViews, elements_at, planes
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.model.emission import RGBD
@@ -118,7 +118,7 @@ def smooth_window(
         image, pixel = _drawn(rng, views, config.elements)
         elements = elements_at(stacked, T_world_cam, jnp.asarray(image), jnp.asarray(pixel))
         seen = normal_equations(stacked, T_world_cam, elements, config.align, jnp.float32(gate))
-        H, gradient, parts = of_bodies(seen, twists, data)
+        H, gradient, parts = of_bodies(seen, twists, data, shared=0)
         H, gradient, parts = H[: time * p, : time * p], gradient[: time * p], parts[:, : time * p]
         now = jax.tree.map(lambda leaf: leaf[:time], states)
         chain = of_poses(chain_equations(transition, start, now, controls, dt), p)
@@ -130,7 +130,8 @@ def smooth_window(
         states = _perturbed(transition, states, jnp.asarray(errors, jnp.float32))
     shared = float(seen.by_image[time - 1]) / config.elements
     found = [jax.tree.map(lambda leaf, t=t: leaf[t], states) for t in range(time)]
-    return Smoothed(found, covariances(H, parts, chain, time), float(seen.cost), shared)
+    errors = estimate_covariance(H, parts, chain.hessian)
+    return Smoothed(found, covariances(errors, chain, time), float(seen.cost), shared)
 
 
 def _drawn(rng: np.random.Generator, views: list[View], count: int) -> tuple[np.ndarray, np.ndarray]:
