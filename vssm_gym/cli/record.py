@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     from vssm_gym.envs.sensors import CameraConfig
 
 OWNERS = {  # the motions that an option belongs to
-    "robot": ("survey",),
-    "noise": ("survey", "flight"),
+    "robot": ("survey", "wander"),
+    "noise": ("survey", "wander", "flight"),
+    "seconds": ("wander",),
     "metres": ("handheld",),
     "rate": ("handheld", "flight"),
     "colour": ("handheld",),
@@ -25,10 +26,11 @@ OWNERS = {  # the motions that an option belongs to
 def record(
     scene: str,
     out: Path,
-    motion: Literal["survey", "handheld", "flight"] = "survey",
+    motion: Literal["survey", "wander", "handheld", "flight"] = "survey",
     robot: str | None = None,
     noise: str | None = None,
     sensor_noise: str = "none",
+    seconds: float | None = None,
     metres: float | None = None,
     rate: float | None = None,
     flight: str | None = None,
@@ -40,7 +42,8 @@ def record(
 ) -> None:
     """Record colour, depth, commands and true poses of a scene as a TUM folder.
 
-    In a `survey` a robot drives until it has seen the whole floor: the recording for a map. `handheld` carries a camera
+    In a `survey` a robot drives until it has seen the whole floor: the recording for a map. `wander` drives by drawn
+    commands of all kinds: the recording from which its motion is learned. `handheld` carries a camera
     from room to room, 1.3 m above the floor, at 0.3 to 0.6 m/s: the recording for SLAM. `flight` follows a closed
     reference flight of a multirotor, from hover to hover, with its IMU in imu.txt; it needs a high, wide room.
 
@@ -48,10 +51,12 @@ def record(
         scene: built-in name (oak) or path of a scene file.
         out: new or empty folder; it appears when the recording is complete.
         motion: the body that carries the camera.
-        robot: that surveys: holonomic (default), or worn, whose drive responds late, too little and to one side.
-        noise: execution noise of a survey, or gusts of a flight: none, low (default), mid or high. The recorded poses
+        robot: that surveys or wanders: holonomic (default), or worn, whose drive responds late, too little and to one
+            side.
+        noise: execution noise of a drive, or gusts of a flight: none, low (default), mid or high. The recorded poses
             are the true ones.
         sensor_noise: none (exact images), kinect or stereo.
+        seconds: duration of a wandering drive; 300 by default.
         metres: minimum path length of a handheld recording; 50 by default.
         rate: frames per second of a handheld camera (10 by default) or of a flight (20).
         flight: star, picasso, figure8 (default) or clover.
@@ -71,7 +76,7 @@ def record(
 
     check_at_least("record", "seed", seed, 0)
     check_folder(out)
-    given = {"robot": robot, "noise": noise, "metres": metres, "rate": rate}
+    given = {"robot": robot, "noise": noise, "seconds": seconds, "metres": metres, "rate": rate}
     given |= {"colour": colour, "flight": flight, "speed": speed, "yaw": yaw}
     for name, owners in OWNERS.items():
         if given[name] is not None and motion not in owners:
@@ -95,6 +100,19 @@ def record(
             following = f"vssm-gym map build {out} --out map.npz"
             if robot == "worn":
                 following = f"vssm-gym train-dynamics {out} --out drive.npz"
+        elif motion == "wander":
+            frames = recording.record_wandering(
+                scene,
+                out,
+                seconds=300.0 if seconds is None else seconds,
+                robot=robot or "holonomic",
+                noise=noise or "low",
+                sensor_noise=sensor_noise,
+                camera=camera,
+                seed=seed,
+                on_progress=progress,
+            )
+            following = f"vssm-gym train-dynamics {out} --out drive.npz"
         elif motion == "handheld":
             frames = recording.record_handheld(
                 scene,

@@ -18,6 +18,7 @@ from vssm_gym.data.colour_rig import draw_rig, write_truth
 from vssm_gym.data.handheld import walk
 from vssm_gym.data.intrinsics import ColourCalibration
 from vssm_gym.data.sequences import SequenceWriter
+from vssm_gym.data.wandering import Wanderer
 from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.rendering.raycast import RaycastCamera
 from vssm_gym.envs.robots.registry import HOLONOMIC_ROBOTS
@@ -40,6 +41,7 @@ from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
 COLOURS = ("registered", "unregistered")
+LONGEST = 3600.0  # s of a drive by drawn commands
 WAYPOINT_REACHED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
@@ -88,6 +90,58 @@ def record(
             return _drive(env, route, unfinished, seed, on_progress)
     finally:
         env.close()
+
+
+def record_wandering(
+    scene: str | Path,
+    out: Path,
+    *,
+    seconds: float = 300.0,
+    robot: str = "holonomic",
+    noise: str = "low",
+    sensor_noise: str = "none",
+    camera: CameraConfig | None = None,
+    seed: int = 0,
+    on_progress: OnProgress | None = None,
+) -> int:
+    """Drive by drawn commands (:mod:`~vssm_gym.data.wandering`) from a drawn start; returns the number of frames.
+
+    Args:
+        scene: built-in name or path of a scene file.
+        out: new or empty folder; written atomically.
+        seconds: of the drive.
+        robot: that drives: a name of :data:`~vssm_gym.envs.robots.registry.HOLONOMIC_ROBOTS`.
+        noise: execution noise of the drive; the recorded poses are the true ones.
+        sensor_noise: what the camera adds to the exact image: a name of ``sensor_noise.PRESETS``.
+        camera: size and angle of the images.
+        seed: of the start, the commands and of both noises.
+        on_progress: called with ("recording", steps, all steps) now and then.
+
+    Raises:
+        InputError: an unknown scene or noise, an impossible duration, or a folder that is not empty.
+    """
+    check_new_folder(out)
+    choose("record", "robot", robot, HOLONOMIC_ROBOTS)
+    if not 1.0 <= seconds <= LONGEST:
+        raise InputError("record", "seconds", f"a duration between 1 and {LONGEST:g} s, not {seconds}")
+    env = PointNavEnv(
+        scene=str(scene), robot=robot, noise=noise, sensor_noise=sensor_noise, camera=camera, reward="sparse"
+    )
+    about = {"motion": "wander", "seconds": seconds, "robot": robot, "noise": noise, "sensor_noise": sensor_noise}
+    steps = round(seconds / env.robot.dt)
+    try:
+        wanderer = Wanderer(env.apartment, env.robot, seed)
+        with recorded_episode(env.simulation, out, about | {"seed": seed}) as write:
+            observation, info = env.reset(seed=seed)
+            write(observation, info)
+            for k in range(steps):
+                observation, _, _, _, info = env.step(np.append(wanderer(env.planar), 0.0))
+                write(observation, info)
+                if on_progress and (k % 20 == 0 or k + 1 == steps):
+                    on_progress("recording", k + 1, steps)
+    finally:
+        env.close()
+    return steps + 1
 
 
 def record_handheld(
