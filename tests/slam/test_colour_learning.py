@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.helpers.colour_room import STATED, TRUE, write_unregistered
 from tests.helpers.slam_recordings import FILES, SIZE, names, write_sequence
+from tests.inference.smoothing.colour_room import STATED, TRUE, write_unregistered
 from vssm_gym.cli.slam import slam as command
 from vssm_gym.data.intrinsics import ColourCalibration
 from vssm_gym.data.sequences import load_sequence
