@@ -41,13 +41,24 @@ ALLOWED["version"] = ALLOWED["compilation_cache"] = set()
 ALLOWED["envs.registration"] = set()
 ALLOWED["envs"] = BASE | {"envs.registration"}
 ALLOWED["envs.world_model"] = ALLOWED["inference"] | {"envs"}  # the model, but nothing that infers or plans
-for _module in ("data.trajectories", "data.images", "data.intrinsics"):
+for _module in ("data.trajectories", "data.images", "data.distortion"):
     ALLOWED[_module] = set(BASE)
 ALLOWED["data.index"] = BASE | {"data.trajectories", "data.images"}
-ALLOWED["data.sequences"] = BASE | {"data.trajectories", "data.images", "data.index", "data.intrinsics"}
+ALLOWED["data.intrinsics"] = BASE | {"data.index"}
+ALLOWED["data.registration"] = BASE | {"data.intrinsics", "data.distortion"}
+_READ = {"data.trajectories", "data.images", "data.index", "data.intrinsics", "data.distortion", "data.registration"}
+ALLOWED["data.sequences"] = BASE | _READ
+ALLOWED["data.colour_rig"] = BASE | {"data.intrinsics", "envs"}
 ALLOWED["data.dynamics"] = BASE | {"data.trajectories", "data.sequences"}
 ALLOWED["data.handheld"] = BASE | {"envs"}
-ALLOWED["data.recording"] = BASE | {"data.handheld", "data.sequences", "envs", "planning"}
+ALLOWED["data.recording"] = BASE | {
+    "data.handheld",
+    "data.sequences",
+    "data.colour_rig",
+    "data.intrinsics",
+    "envs",
+    "planning",
+}
 ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
 ALLOWED["viz"] = BASE | {"maps", "model.emission"}
 for _module in ("slam", "eval", "training", "cli"):
@@ -59,6 +70,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "envs.world_model",
         "data.trajectories",
         "data.images",
+        "data.intrinsics",
         "data.sequences",
         "data.dynamics",
         "data.recording",

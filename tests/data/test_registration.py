@@ -8,8 +8,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from tests.helpers.colour_room import ROOM, STATED, THETA, TRUE, images, true_pose, write_unregistered
 from tests.helpers.slam_recordings import CAMERA
+from tests.inference.smoothing.colour_room import ROOM, STATED, THETA, TRUE, images, true_pose, write_unregistered
 from vssm_gym.data.intrinsics import ColourCalibration
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.registration import Registration

@@ -15,8 +15,8 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse, transform
 
 COVERED = 1.1  # times the depth of the nearest surface in a cell of the colour image: farther points are behind it
-CELL = 1.5  # widths of a depth pixel, of that cell: no surface has holes there
-NEAREST = 0.05  # m before the colour camera
+COLOUR_CELL = 1.5  # widths of a depth pixel, of that cell: no surface has holes there
+NEAREST_SEEN = 0.05  # m before the colour camera
 
 
 class Registration:
@@ -32,7 +32,7 @@ class Registration:
         self._rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
         self._colour = colour
         self._T_colour_depth = inverse(np.asarray(colour.view.T_depth_colour, np.float64))
-        self._cell = CELL * max(1.0, colour.view.camera.K[0, 0] / camera.K[0, 0])  # pixels of the colour image
+        self._cell = COLOUR_CELL * max(1.0, colour.view.camera.K[0, 0] / camera.K[0, 0])  # pixels of the colour image
 
     def __call__(
         self, depth: Float[np.ndarray, "height width"]
@@ -47,10 +47,10 @@ class Registration:
             return np.zeros(depth.shape), np.zeros(depth.shape), read
         i, j = distance_transform_edt(~read, return_distances=False, return_indices=True)
         q = transform(self._T_colour_depth, self._rays * np.asarray(depth, np.float64)[i, j][..., None])
-        z = np.maximum(q[..., 2], NEAREST)
+        z = np.maximum(q[..., 2], NEAREST_SEEN)
         x, y = distort(q[..., 0] / z, q[..., 1] / z, self._colour.distortion)
         u, v = x * camera.fx + camera.cx, y * camera.fy + camera.cy
-        inside = (q[..., 2] > NEAREST) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+        inside = (q[..., 2] > NEAREST_SEEN) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
         u, v = np.clip(u, 0.0, camera.width - 1.0), np.clip(v, 0.0, camera.height - 1.0)
         columns = int(camera.width / self._cell) + 1
         cell = (v / self._cell).astype(int) * columns + (u / self._cell).astype(int)

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.colour_room import COLOUR, DT, FRAMES, STATED, TRUE, images, true_pose
 from tests.helpers.slam_recordings import CAMERA
+from tests.inference.smoothing.colour_room import COLOUR, DT, FRAMES, STATED, TRUE, images, true_pose
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.colour_camera import PRIOR_STD, ColourCamera, displacements

@@ -9,6 +9,7 @@ OF_ALIGNMENT, OF_PRISM = "tests/inference/alignment/test_alignment.py", "tests/i
 OF_ALGEBRA, OF_DRIFT = "tests/inference/test_linear_gaussian.py", "tests/inference/test_drift.py"
 OF_NOISE, OF_AGREEMENT = "tests/inference/test_process_noise.py", "tests/inference/alignment/test_agreement.py"
 OF_SMOOTHING = "tests/inference/smoothing"
+OF_COLOUR = f"{OF_SMOOTHING}/test_colour_calibration.py"
 POSE_UPDATE = "vssm_gym/inference/tracking/pose_update.py"
 ERRORS = "vssm_gym/inference/tracking/error_covariance.py"
 OF_ERRORS = "tests/inference/test_error_covariance.py"
@@ -388,9 +389,23 @@ INFERENCE = (
     Mutant(
         "smoothed-covariance-counts-every-reading",
         "vssm_gym/inference/smoothing/gauss_newton.py",
-        "poses = spread.T @ spread + inverse @ chain.hessian @ inverse",
-        "poses = inverse",
+        "return spread.T @ spread + inverse @ known @ inverse",
+        "return inverse",
         (f"{OF_SMOOTHING}/test_gauss_newton.py::test_errors_of_a_surface_widen_the_covariance",),
+    ),
+    Mutant(
+        "colour-camera-turned-the-other-way",
+        "vssm_gym/geometry/colour_camera.py",
+        "(-one, o, o, o, -z, y, x, o, z, o),",
+        "(-one, o, o, o, z, y, x, o, z, o),",
+        (f"{OF_COLOUR}::test_a_displacement_moves_the_image_as_the_calibration_does",),
+    ),
+    Mutant(
+        "calibration-with-the-map-held-fixed",
+        "vssm_gym/inference/smoothing/agreement.py",
+        "weighted = weight[..., None] * (by_theta - mean)",
+        "weighted = weight[..., None] * by_theta",
+        (f"{OF_COLOUR}::test_the_elements_are_integrated_out_of_the_border",),
     ),
     Mutant(
         "chain-without-the-neighbour's-covariance",

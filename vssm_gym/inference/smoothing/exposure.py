@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 DARKEST = 0.02  # luminance below which its logarithm says nothing
 ELBOW = 0.1  # of the logarithm: larger differences are other surfaces or edges
-ROUNDS = 3  # times that the weights follow from the residuals
+GAIN_ROUNDS = 3  # times that the weights follow from the residuals
 HELD = 1e-3  # of the mean weight of an image: precision of a gain about 1, which images without overlap need
 
 
@@ -25,7 +25,7 @@ def gains(luminance: Float[Array, "time elements"], seen: Float[Array, "time ele
     c = jnp.maximum(luminance, DARKEST)
     base, value = seen * c**2, jnp.log(c)
     log_gain, weight = jnp.zeros(len(c)), base
-    for _ in range(ROUNDS):
+    for _ in range(GAIN_ROUNDS):
         total = jnp.maximum(jnp.sum(weight, axis=0), 1e-9)
         off = value - jnp.sum(weight * value, axis=0) / total
         held = HELD * jnp.mean(jnp.sum(weight, axis=1))
