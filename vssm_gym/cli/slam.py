@@ -34,6 +34,7 @@ def slam(
     max_depth: float = 8.0,
     depth: Literal["good", "stereo"] = "good",
     imu: bool = False,
+    transition: Path | None = None,
     method: Literal["prism", "tracker"] = "prism",
     map: Path | None = None,
     start: str | None = None,
@@ -59,6 +60,8 @@ def slam(
             uncertainty and the pose estimate for the map's.
         max_depth: metres; readings beyond it are ignored.
         depth: kind of depth sensor: good (structured light, or stereo at short range) or stereo (noisy, long range).
+        transition: file of `vssm-gym train-dynamics`, learned from flights: predicts the motion from imu.txt instead
+            of a constant velocity; the camera must rest for the first half second.
         method: prism estimates pose and map; tracker estimates the pose in a given map, which stays fixed.
         map: map file for the tracker, from another run of slam or from map build.
         start: x,y,z,qx,qy,qz,qw for the tracker: approximate pose of the first camera in the map (default: its origin).
@@ -86,6 +89,7 @@ def slam(
         max_depth=max_depth,
         depth=depth,
         imu=imu,
+        transition=transition,
         method=method,
         map=map,
         refine=refine,
