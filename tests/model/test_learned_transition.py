@@ -191,6 +191,13 @@ def test_weights_have_the_moments_of_a_choice_at_random():
     np.testing.assert_allclose(np.cov(weights.T), np.cov(chosen.T), atol=0.005)
 
 
+def test_less_disagreement_is_less_spread_of_the_weights():
+    joint = eqx.tree_at(lambda t: t.disagreement, ensemble(), jnp.asarray(0.5))
+    rest = jax.random.normal(jax.random.key(0), (100, joint.rest))
+    half, whole = (np.asarray(t._weights(rest)) - 1.0 / 3.0 for t in (joint, ensemble()))
+    np.testing.assert_allclose(half, 0.5 * whole, atol=1e-6)
+
+
 def test_several_networks_are_stored_in_a_file(tmp_path):
     joint = together([random_transition(calibrated("imu"), size=3, further=1, seed=4)] * 4)
     save_transition(tmp_path / "a.npz", joint, "imu", {})

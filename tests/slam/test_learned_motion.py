@@ -53,7 +53,7 @@ def test_a_resting_body_reads_gravity_and_the_bias_that_was_learned(recording, f
     learned = load_flight_transition(file)
     motion = LearnedMotion(learned, load_sequence(recording), 0.0)
     reading = motion(0.0, 0.4)
-    np.testing.assert_allclose(reading[3:], learned.nominal.constants.gyro_bias, atol=0.02)
+    np.testing.assert_allclose(reading[3:], learned.nominal.constants.gyro_bias, atol=0.05)
     assert abs(np.linalg.norm(reading[:3]) - 9.81) < 0.3
     camera_down = np.asarray(motion.transition.T_level_world)[:3, :3] @ [0.0, 1.0, 0.0]  # y of a level camera
     np.testing.assert_allclose(camera_down, [0.0, 0.0, -1.0], atol=0.05)

@@ -21,7 +21,7 @@ from vssm_gym.training.dynamics import fit as fit_module
 from vssm_gym.training.dynamics import learn as learn_module
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
 from vssm_gym.training.dynamics.evaluation import WINDOWS_AT_ONCE, coverage, path_errors, step_likelihood
-from vssm_gym.training.dynamics.fit import GAINS, HELD_SHARE, FitConfig, calibrate, fit, with_gain
+from vssm_gym.training.dynamics.fit import GAINS, HELD_SHARE, FitConfig, calibrate, calibrate_together, fit, with_gain
 from vssm_gym.training.dynamics.learn import GAP, LearnConfig, folded, learn
 from vssm_gym.training.dynamics.windows import Windows, windows
 
@@ -151,6 +151,18 @@ def test_calibration_finds_the_noise_of_a_simulated_system():
         share = np.mean([coverage(member, windows, DT).mean() for member, windows in zip(members, held, strict=True)])
         assert abs(share - HELD_SHARE) < 0.05
     assert GAINS[1] / GAINS[0] < 1.2
+
+
+def test_networks_that_agree_keep_the_spread_of_a_simulated_system():
+    """What no network can predict is not averaged out: the factor stays near one, and envelopes hold what they should.
+
+    The rest changes nothing here, so that one network and several equal ones have the same spread.
+    """
+    true = noisy_transition(NOMINALS["holonomic"](), (0.02, 0.05), 3)
+    seen = simulated(true, 24, 6, 5)
+    whole, factor = calibrate_together([true] * 3, seen, DT, (0.0, 0.0))
+    assert 0.85 < factor <= 1.0
+    assert abs(coverage(whole, seen, DT).mean() - HELD_SHARE) < 0.05
 
 
 def run(monkeypatch, capsys, *arguments):

@@ -10,10 +10,10 @@ noise is heteroscedastic. The network reads no place and no yaw (:mod:`vssm_gym.
 
 Several networks, each trained without another part of the data, may correct together, each with a rest of its own:
 
-    m = sum_k w_k m_k,    w_k = 1/K + (b_k - mean b) / sqrt(K),    s_body^2 = mean_k s_k^2,    b' = b,    b_0 ~ N(0, 1)
+    m = sum_k w_k m_k,   w_k = 1/K + d (b_k - mean b) / sqrt(K),   s_body^2 = mean_k s_k^2,   b' = b,   b_0 ~ N(0, 1)
 
-``w`` has the mean and the covariance of the choice of one of them at random. It hardly changes within a path: where
-networks disagree, futures diverge steadily, as errors of a model do, and not as noise of single steps.
+With ``d = 1``, ``w`` has the mean and the covariance of the choice of one of them at random. It hardly changes within a
+path: where networks disagree, futures diverge steadily, as errors of a model do, and not as noise of single steps.
 """
 
 from typing import Any, NamedTuple
@@ -74,6 +74,7 @@ class LearnedTransition(Transition):
         size: dimensions of the rest of a network.
         further: controls beyond those of the nominal transition.
         members: number of networks; one has no leading axis, and no weight.
+        disagreement: ``d``, by which the spread of the weights is multiplied; None: one network.
     """
 
     nominal: Transition
@@ -82,6 +83,7 @@ class LearnedTransition(Transition):
     size: int = eqx.field(static=True, default=REST)
     further: int = eqx.field(static=True, default=0)
     members: int = eqx.field(static=True, default=1)
+    disagreement: Float[Array, ""] | None = None
 
     @property
     def rest(self) -> int:
@@ -224,9 +226,10 @@ class LearnedTransition(Transition):
         return jax.vmap(lambda network, x: network(x), in_axes=(0, -2), out_axes=-2)(self.network, inputs)
 
     def _weights(self, rest: Float[Array, "*batch r"]) -> Float[Array, "*batch members"]:
-        """``w_k = 1/K + (b_k - mean b) / sqrt(K)``: their sum is one."""
+        """``w_k = 1/K + d (b_k - mean b) / sqrt(K)``: their sum is one."""
         b = rest[..., self.members * self.size :]
-        return 1.0 / self.members + (b - b.mean(axis=-1, keepdims=True)) / self.members**0.5
+        spread = jnp.asarray(self.disagreement) / self.members**0.5
+        return 1.0 / self.members + spread * (b - b.mean(axis=-1, keepdims=True))
 
 
 def together(members: list[LearnedTransition]) -> LearnedTransition:
@@ -239,7 +242,9 @@ def together(members: list[LearnedTransition]) -> LearnedTransition:
         return members[0]
     first = members[0]
     networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(member.network for member in members))
-    return LearnedTransition(first.nominal, networks, first.scales, first.size, first.further, len(members))
+    return LearnedTransition(
+        first.nominal, networks, first.scales, first.size, first.further, len(members), jnp.ones(())
+    )
 
 
 def untrained(

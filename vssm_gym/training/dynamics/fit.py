@@ -39,6 +39,7 @@ JUDGED_EVERY = 50  # updates between two looks at the held-out windows
 MEMBERS = 4  # networks: the more of them, the less data each misses, and the longer the training
 HELD_WINDOWS = 32  # held-out windows of each network at most
 GAINS = np.geomspace(0.25, 8.0, 32)  # of the noise, among which calibration chooses
+FACTORS = np.geomspace(0.1, 1.0, 16)  # of the spread of all networks together, likewise
 CALIBRATED_ON = 24  # held-out windows of each network at most, each a tenth of a second for every gain
 HELD_SHARE = 0.95  # share of held-out states that the envelopes of 95 % should hold
 
@@ -92,7 +93,8 @@ class Fitted:
         interrupted: whether it was ended before its time.
         score: of the best, on windows that its networks have not seen, their mean: m.
         improved: whether any update was better there than the nominal step.
-        gain: by which calibration multiplied the noise.
+        gain: by which calibration multiplied the noise of each network.
+        factor: by which it multiplied the spread of all of them together after that.
         noise: standard deviations of measured positions (m) and rotations (rad), as learned.
         history: a row each time the held-out windows were looked at.
     """
@@ -105,6 +107,7 @@ class Fitted:
     score: float
     improved: bool
     gain: float
+    factor: float
     noise: tuple[float, float]
     history: list[dict[str, float]]
 
@@ -167,9 +170,10 @@ def fit(
     ]
     position, rotation = (float(std) for std in jnp.exp(trained[2]).mean(axis=0))
     members, gain = calibrate(members, [data.take(held) for held in folds.held], dt, (position, rotation))
+    transition, factor = calibrate_together(members, data, dt, (position, rotation))
     seconds = time.monotonic() - began
     noise = (position, rotation)
-    return Fitted(together(members), members, done, seconds, interrupted, score, score < first, gain, noise, history)
+    return Fitted(transition, members, done, seconds, interrupted, score, score < first, gain, factor, noise, history)
 
 
 def optimizer_for(config: FitConfig) -> optax.GradientTransformation:
@@ -209,11 +213,42 @@ def calibrate(
     return [with_gain(member, GAINS[low]) for member in members], float(GAINS[low])
 
 
+def calibrate_together(
+    members: list[LearnedTransition], seen: Windows, dt: float, noise: tuple[float, float]
+) -> tuple[LearnedTransition, float]:
+    """Return all networks together, their spread multiplied by ``sqrt(f)``.
+
+    On unseen data they err less together than each alone, whose error the spread is that of, and more than on data that
+    most of them have seen, which envelopes hold with the spread times ``f``. Their error there cannot be measured: the
+    factor is the middle between 1 and ``f``, on a scale of ratios.
+
+    Args:
+        members: transitions with one network each, calibrated.
+        seen: windows that they were trained on.
+        dt: length of a step, s.
+        noise: standard deviations of measured positions (m) and rotations (rad).
+    """
+    whole = together(members)
+    if whole.members == 1:
+        return whole, 1.0
+    some = seen.take(_spread(len(seen), CALIBRATED_ON))
+    low, high = 0, len(FACTORS) - 1
+    while low < high:
+        middle = (low + high) // 2
+        share = coverage(with_gain(whole, FACTORS[middle]), some, dt, noise).mean()
+        low, high = (middle + 1, high) if share < HELD_SHARE else (low, middle)
+    factor = float(FACTORS[low]) ** 0.5
+    return with_gain(whole, factor), factor
+
+
 def with_gain(transition: LearnedTransition, gain: float) -> LearnedTransition:
-    """Return the transition with all standard deviations multiplied, those of the rest included."""
+    """Return the transition with all standard deviations multiplied: of the rest too, and of networks' weights."""
     spread = len(transition.nominal.manifold.turns) + transition.size
     offset = transition.network.offset.at[..., spread:].add(jnp.log(gain))
-    return eqx.tree_at(lambda t: t.network.offset, transition, offset)
+    louder = eqx.tree_at(lambda t: t.network.offset, transition, offset)
+    if transition.disagreement is None:
+        return louder
+    return eqx.tree_at(lambda t: t.disagreement, louder, transition.disagreement * gain)
 
 
 def _bias_stds(nominal: Transition, scales: Scales) -> Float[Array, "m"]:

@@ -137,6 +137,7 @@ def learn(
         "seconds": round(fitted.seconds, 1),
         "interrupted": fitted.interrupted,
         "gain": fitted.gain,
+        "factor": fitted.factor,
         "measured_stds": fitted.noise,
         "history": fitted.history,
         "parts": compare(compared, folds.data, dt, fitted.noise, on_progress),
