@@ -154,7 +154,7 @@ def test_calibration_finds_the_noise_of_a_simulated_system():
 
 
 def test_networks_that_agree_keep_the_spread_of_a_simulated_system():
-    """What no network can predict is not averaged out: the factor stays near one, and envelopes hold what they should.
+    """The factor stays near one where all errors are noise, and envelopes hold what they should.
 
     The rest changes nothing here, so that one network and several equal ones have the same spread.
     """

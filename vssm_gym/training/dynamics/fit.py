@@ -36,10 +36,10 @@ EVIDENCE_STEPS = 20  # steps over which the evidence is taken, of a window
 BIAS_STDS = (0.05, 0.005)  # m/s^2, rad/s
 BIAS_SHARE = 0.02  # of the spread of a further control
 JUDGED_EVERY = 50  # updates between two looks at the held-out windows
-MEMBERS = 4  # networks: the more of them, the less data each misses, and the longer the training
+NETWORKS = 4  # networks: the more of them, the less data each misses, and the longer the training
 HELD_WINDOWS = 32  # held-out windows of each network at most
 GAINS = np.geomspace(0.25, 8.0, 32)  # of the noise, among which calibration chooses
-FACTORS = np.geomspace(0.1, 1.0, 16)  # of the spread of all networks together, likewise
+SPREAD_FACTORS = np.geomspace(0.1, 1.0, 16)  # of the spread of all networks together, likewise
 CALIBRATED_ON = 24  # held-out windows of each network at most, each a tenth of a second for every gain
 HELD_SHARE = 0.95  # share of held-out states that the envelopes of 95 % should hold
 
@@ -61,7 +61,7 @@ class FitConfig:
     updates: int = 1200
     minutes: float = 9.0
     batch: int = 12
-    members: int = MEMBERS
+    members: int = NETWORKS
     rate: float = 2e-3
     decay: float = 0.0
     seed: int = 0
@@ -232,12 +232,12 @@ def calibrate_together(
     if whole.members == 1:
         return whole, 1.0
     some = seen.take(_spread(len(seen), CALIBRATED_ON))
-    low, high = 0, len(FACTORS) - 1
+    low, high = 0, len(SPREAD_FACTORS) - 1
     while low < high:
         middle = (low + high) // 2
-        share = coverage(with_gain(whole, FACTORS[middle]), some, dt, noise).mean()
+        share = coverage(with_gain(whole, SPREAD_FACTORS[middle]), some, dt, noise).mean()
         low, high = (middle + 1, high) if share < HELD_SHARE else (low, middle)
-    factor = float(FACTORS[low]) ** 0.5
+    factor = float(SPREAD_FACTORS[low]) ** 0.5
     return with_gain(whole, factor), factor
 
 
