@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.dynamics.transitions import random_planar, random_transition
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import se3_exp
-from vssm_gym.model.transition import GaussianBelief, Imu, Planar, RigidState
+from vssm_gym.model.transition import RIGID, GaussianBelief, Imu, Planar, RigidState
 from vssm_gym.model.transition.bicycle import Bicycle
 from vssm_gym.model.transition.calibrated import CalibratedDrive, CalibratedImu, ImuConstants
-from vssm_gym.model.transition.learned import LearnedTransition, Scales, untrained
+from vssm_gym.model.transition.learned import LearnedTransition, Scales, together, untrained
 from vssm_gym.model.transition.learned_file import NOMINALS, calibrated, load_transition, save_transition
 from vssm_gym.model.transition.residual_network import new_network
 from vssm_gym.model.transition.with_rest import RestState
@@ -143,6 +143,84 @@ def test_a_longer_step_is_corrected_more():
     np.testing.assert_allclose(changes[1], 2.0 * changes[0], rtol=1e-4, atol=1e-6)
 
 
+# --- several networks
+
+
+def ensemble(count: int = 3, size: int = 2) -> LearnedTransition:
+    """Return networks with other weights, in the same units."""
+    first = random_transition(size=size)
+    others = [random_transition(size=size, seed=seed).network for seed in range(1, count)]
+    return together([first, *(eqx.tree_at(lambda t: t.network, first, network) for network in others)])
+
+
+def test_equal_networks_are_as_one():
+    """Whatever their weights, pose and spread are those of one, and each rest moves as that of one."""
+    one = random_transition()
+    three = together([one] * 3)
+    assert (three.members, three.rest, len(three.manifold.turns)) == (3, 9, 21)
+    rest, b = f32([0.2, -0.1]), f32([0.7, -1.2, 0.4])
+    alone = one.step(RestState(flying(), rest), CONTROL, DT)
+    joint = three.step(RestState(flying(), jnp.concatenate([rest, rest, rest, b])), CONTROL, DT)
+    np.testing.assert_allclose(joint.mean.body.T_world_body, alone.mean.body.T_world_body, atol=1e-5)
+    np.testing.assert_allclose(joint.mean.body.velocity, alone.mean.body.velocity, atol=1e-5)
+    np.testing.assert_allclose(joint.mean.rest, [*np.tile(alone.mean.rest, 3), *b], atol=1e-5)
+    np.testing.assert_allclose(joint.stds[:12], alone.stds[:12], rtol=1e-5)
+    np.testing.assert_allclose(joint.stds[12:18], np.tile(alone.stds[12:], 3), rtol=1e-5)
+
+
+def test_a_rest_of_zero_gives_the_mean_of_the_networks():
+    joint, state = ensemble(), flying()
+    networks = [jax.tree.map(lambda a, k=k: a[k], joint.network) for k in range(3)]
+    alone = [LearnedTransition(joint.nominal, network, joint.scales, joint.size) for network in networks]
+    steps = [member.step(member.start(state), CONTROL, DT) for member in alone]
+    nominal = joint.nominal.mean(state, CONTROL, DT)
+    xi = [RIGID.error(nominal, step.mean.body) for step in steps]
+    step = joint.step(joint.start(state), CONTROL, DT)
+    np.testing.assert_allclose(RIGID.error(nominal, step.mean.body), np.mean(xi, axis=0), atol=1e-5)
+    squares = [np.asarray(s.stds[:12]) ** 2 for s in steps]
+    np.testing.assert_allclose(np.asarray(step.stds[:12]) ** 2, np.mean(squares, axis=0), rtol=1e-4)
+
+
+def test_weights_have_the_moments_of_a_choice_at_random():
+    """Mean 1/K and covariance (1 - 1/K) / K, -1/K^2: those of choosing one of K networks; their sum is one."""
+    joint, count = ensemble(), 200_000
+    weights = np.asarray(joint._weights(jax.random.normal(jax.random.key(0), (count, joint.rest))), float)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-5)
+    chosen = np.eye(3)[np.random.default_rng(0).integers(0, 3, count)]
+    np.testing.assert_allclose(weights.mean(axis=0), 1.0 / 3.0, atol=0.005)
+    np.testing.assert_allclose(np.cov(weights.T), np.cov(chosen.T), atol=0.005)
+
+
+def test_less_disagreement_is_less_spread_of_the_weights():
+    joint = eqx.tree_at(lambda t: t.disagreement, ensemble(), jnp.asarray(0.5))
+    rest = jax.random.normal(jax.random.key(0), (100, joint.rest))
+    half, whole = (np.asarray(t._weights(rest)) - 1.0 / 3.0 for t in (joint, ensemble()))
+    np.testing.assert_allclose(half, 0.5 * whole, atol=1e-6)
+
+
+def test_several_networks_are_stored_in_a_file(tmp_path):
+    joint = together([random_transition(calibrated("imu"), size=3, further=1, seed=4)] * 4)
+    save_transition(tmp_path / "a.npz", joint, "imu", {})
+    found = load_transition(tmp_path / "a.npz").transition
+    assert jax.tree.structure(found) == jax.tree.structure(joint)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(joint), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_file_of_the_first_version_is_read(tmp_path):
+    """It has no number of networks: there was one."""
+    learned = stored_kinds()["car"]
+    save_transition(tmp_path / "a.npz", learned, "car", {})
+    with np.load(tmp_path / "a.npz") as stored:
+        arrays = {name: np.array(a) for name, a in stored.items()}
+    header = json.loads(bytes(arrays["header"])) | {"version": 1}
+    del header["members"]
+    np.savez(tmp_path / "b.npz", **arrays | {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)})
+    found = load_transition(tmp_path / "b.npz").transition
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(learned), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 # --- constants
 
 
@@ -207,9 +285,10 @@ def test_another_nominal_step_is_refused(tmp_path):
 def damaged(arrays: dict, kind: str) -> dict:
     header = json.loads(bytes(arrays["header"]))
     changed = {
-        "version": lambda: header.update(version=2),
+        "version": lambda: header.update(version=3),
         "kind": lambda: header.update(kind="boat"),
         "size": lambda: header.update(size=4000),
+        "members": lambda: header.update(members=0),
         "trained": lambda: header.update(trained=3),
         "arrays": lambda: arrays.pop("network.leave"),
         "network.enter": lambda: arrays.update({"network.enter": arrays["network.enter"][:-1]}),
@@ -222,7 +301,8 @@ def damaged(arrays: dict, kind: str) -> dict:
 
 
 FIELDS = (
-    "version", "kind", "size", "trained", "arrays", "network.enter", "network.offset", "scales.spread", "scales.step",
+    "version", "kind", "size", "members", "trained", "arrays", "network.enter", "network.offset", "scales.spread",
+    "scales.step",
 )  # fmt: skip
 
 

@@ -34,6 +34,7 @@ def slam(
     max_depth: float = 8.0,
     depth: Literal["good", "stereo"] = "good",
     imu: bool = False,
+    transition: Path | None = None,
     method: Literal["prism", "smoother", "tracker"] = "prism",
     map: Path | None = None,
     start: str | None = None,
@@ -60,6 +61,8 @@ def slam(
             uncertainty and the pose estimate for the map's.
         max_depth: metres; readings beyond it are ignored.
         depth: kind of depth sensor: good (structured light, or stereo at short range) or stereo (noisy, long range).
+        transition: file of `vssm-gym train-dynamics`, learned from flights: predicts the motion from imu.txt instead
+            of a constant velocity; the camera must rest for the first half second.
         method: prism filters pose and map; smoother finds the newest poses together, and in the end all of them,
             without a filter; tracker estimates the pose in a given map, which stays fixed.
         map: map file for the tracker, from another run of slam or from map build.
@@ -90,6 +93,7 @@ def slam(
         max_depth=max_depth,
         depth=depth,
         imu=imu,
+        transition=transition,
         method=method,
         map=map,
         refine=refine,

@@ -104,16 +104,16 @@ def train_dynamics(
     test: tuple[Path, ...] = (),
     step: float = 0.1,
     horizon: int = 100,
-    updates: int = 1500,
+    updates: int = 1200,
     minutes: float = 9.0,
     seed: int = 0,
 ) -> None:
     """Learn a transition, and compare it with integration and with fitted constants.
 
     DATA are Blackbird flights (HDF5; needs the extra `dynamics`), folders with EuRoC's csv files, or recordings of
-    `vssm-gym record`, all of one kind. The last quarter of each is held out: the best network is chosen and its noise
-    calibrated there. OUT gets the transition, and beside it a JSON file of the same name with the comparison.
-    Ctrl-C keeps the best so far.
+    `vssm-gym record`, all of one kind. Four networks learn, each without another quarter of each log, on which it is
+    judged and its noise calibrated; the transition is all four. OUT gets it, and beside it a JSON file of the same name
+    has the comparison. Ctrl-C keeps the best so far.
 
     Args:
         data: logs to learn from.

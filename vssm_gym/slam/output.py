@@ -22,6 +22,7 @@ from vssm_gym.files.line_file import LineFile
 from vssm_gym.files.output_folders import Owner, owned_folder
 from vssm_gym.inference.status import Status
 from vssm_gym.maps.map_file import map_hash
+from vssm_gym.model.transition.learned_file import transition_hash
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.colour_learning import learn_colour, registered
@@ -84,6 +85,8 @@ def _owner(sequence: Sequence, options: SlamOptions) -> Owner:
     config = {"sequence": sequence.root.resolve().name, "content": _content_hash(sequence), **_config(options)}
     if options.map is not None:
         config["map"] = map_hash(options.map)
+    if options.transition is not None:
+        config["transition"] = transition_hash(options.transition)
     hashed = hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16]
     content = {"config": config, "config_hash": hashed, "version": package_version()}
     return Owner("SLAM run", MANIFEST, content, finished=REPORT)
@@ -242,6 +245,7 @@ def _config(options: SlamOptions) -> dict[str, Any]:
     """Return the options as JSON, without those that the method does not use."""
     unused = {"voxel", "extent", "samples"} if options.method == "tracker" else set[str]()
     shown = asdict(options) | {"size": "x".join(map(str, options.size)), "map": options.map and options.map.name}
+    shown["transition"] = options.transition and options.transition.name
     return {name: value for name, value in shown.items() if value is not None and name not in unused}
 
 

@@ -35,8 +35,10 @@ from vssm_gym.inference.tracking.solvers import SOLVERS
 from vssm_gym.maps.voxel_map import TRUNCATION, VoxelMap, read_metadata
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
-from vssm_gym.model.transition import RIGID
+from vssm_gym.model.transition import RIGID, GaussianBelief, RigidState, Transition
+from vssm_gym.model.transition.with_rest import RestState
 from vssm_gym.progress import OnProgress
+from vssm_gym.slam.learned_motion import LearnedMotion, check_flight, load_flight_transition
 
 START_STD = 0.3  # m, rad: std of the tracker's given start in a map
 START_PATIENCE = 3  # readable frames that may be rejected after the first one before the map is restarted
@@ -71,6 +73,7 @@ DEPTHS = {
 }
 ONLINE = OnlineConfig()
 METHODS = ("prism", "smoother", "tracker")
+MOVING = 12  # coordinates of pose and velocity; a learned transition has more of its own
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class SlamOptions:
     max_depth: float = MAX_DEPTH  # m; farther readings are left out
     depth: str = "good"  # a key of DEPTHS: what kind of sensor measured it
     imu: bool = False  # whether the sequence's IMU replaces constant velocity in the prior
+    transition: Path | None = None  # file of a learned transition that does so, with the IMU's readings
     method: str = "prism"  # one of METHODS: filter, smooth without a filter, or track in ``map``
     map: Path | None = None  # of the tracker: the file of a learned map
     start: tuple[float, ...] | None = None  # of the tracker: about the first camera's pose, x y z qx qy qz qw
@@ -129,6 +133,11 @@ class SlamOptions:
         if self.imu and self.method == "tracker":
             expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
             raise InputError("slam", "imu", expected)
+        if self.transition is not None:
+            if self.imu or self.method == "tracker" or self.refine:
+                expected = "none with imu, with refine or with method tracker: it is a prior of prism alone"
+                raise InputError("slam", "transition", expected)
+            load_flight_transition(self.transition)  # report an unsuitable file before the sequence is read
         if self.start is not None and self.method != "tracker":
             raise InputError("slam", "start", "a pose in a map, with method tracker: a new map begins at the camera")
         if self.start is not None and not (
@@ -173,17 +182,20 @@ class SlamOptions:
         """Return the configuration of the map's update."""
         return MapUpdateConfig(max_depth=self.max_depth, truncation=DEPTHS[self.depth].truncation)
 
-    def filter(self, camera: Camera) -> Prism | OnlineSmoother | MapTracker:
+    def filter(self, camera: Camera, transition: Transition = HAND) -> Prism | OnlineSmoother | MapTracker:
         """Return the filter of the method for images of a hand-held camera.
 
         Args:
             camera: of the images, at :attr:`size`.
+            transition: how the camera moves, in its first frame.
 
         Returns:
             PRISM, the smoother that needs no filter, or the tracker in :attr:`map`.
         """
         if self.method == "tracker":
-            return MapTracker(Rig.of(camera), HAND, self.tracking, RecoveryConfig(), self.max_depth, self.render_width)
+            return MapTracker(
+                Rig.of(camera), transition, self.tracking, RecoveryConfig(), self.max_depth, self.render_width
+            )
         if self.method == "smoother":
             smoothing = replace(ONLINE.smoothing, align=self.tracking.align)
             config = replace(
@@ -193,14 +205,15 @@ class SlamOptions:
                 update=self.update,
                 track_width=self.render_width,
             )
-            return OnlineSmoother(Rig.of(camera), HAND, config)
-        return self.prism(camera)
+            return OnlineSmoother(Rig.of(camera), transition, config)
+        return self.prism(camera, transition)
 
-    def prism(self, camera: Camera) -> Prism:
+    def prism(self, camera: Camera, transition: Transition = HAND) -> Prism:
         """Return PRISM for images of a hand-held camera.
 
         Args:
             camera: of the images, at :attr:`size`.
+            transition: how the camera moves, in its first frame.
         """
         kind = DEPTHS[self.depth]
         config = PrismConfig(
@@ -211,7 +224,7 @@ class SlamOptions:
             reference_distance=kind.reference_limits[0],
             reference_angle=kind.reference_limits[1],
         )
-        return Prism(Rig.of(camera), HAND, config)
+        return Prism(Rig.of(camera), transition, config)
 
     def prior(self) -> Posterior:
         """Return the belief before the first image: its camera is the world's origin, or near ``start`` in the map."""
@@ -385,6 +398,11 @@ class _Stages:
         return outcome
 
 
+def _moving(state: Any) -> RigidState:
+    """Return pose and velocity of a state, without the rest of a learned transition."""
+    return state.body if isinstance(state, RestState) else state
+
+
 class _Tracker:
     """Keep the filter's state between frames; ``None`` before the first readable frame.
 
@@ -398,6 +416,10 @@ class _Tracker:
         if options.imu and (sequence.T_body_cam is None or not len(sequence.imu)):
             expected = "imu.txt, and T_body_cam in camera.json, for the option imu"
             raise InputError(sequence.root, "imu", expected)
+        self._learned = None if options.transition is None else load_flight_transition(options.transition)
+        if self._learned is not None:
+            check_flight(sequence)
+        self._motion: LearnedMotion | None = None
         self._imu: ImuControl | None = None
         self.state: Any = None
         self.notices: list[str] = []
@@ -432,7 +454,13 @@ class _Tracker:
             if self.state is not None:
                 text = f"frames {self.start} to {index - 1}: none fits the first; the map is restarted at frame {index}"
                 self.notices.append(text)
-            self.state = self.filter.init(self.options.prior(), image, jax.random.key(self.options.seed))
+            prior = self.options.prior()
+            if self._learned is not None:
+                self._motion = LearnedMotion(self._learned, self.sequence, stamp)
+                self.filter = self.options.filter(self.camera, self._motion.transition)
+                assert isinstance(prior.belief, GaussianBelief)
+                prior = replace(prior, belief=self._motion.transition.extend(prior.belief))
+            self.state = self.filter.init(prior, image, jax.random.key(self.options.seed))
             self.start, self._misses = index, 0 if self.options.method != "tracker" else None
             status = Status.LOST if self.state.lost else Status.OK
             if self.options.imu:
@@ -449,7 +477,7 @@ class _Tracker:
         fit_quality = info.fit_quality if info else None
         T_world_cam = np.eye(4)
         if self.state is not None:
-            mean = belief.mean if belief else self.filter.posterior(self.state).belief.mean
+            mean = _moving(belief.mean if belief else self.filter.posterior(self.state).belief.mean)
             T_world_cam = np.asarray(mean.T_world_body, float)
         return TrackedFrame(
             index=index,
@@ -465,13 +493,15 @@ class _Tracker:
             step_s=step_s,
             stages=stages.seconds,
             warm=warm,
-            velocity=np.asarray(belief.mean.velocity, float) if belief else None,
-            covariance=np.asarray(belief.covariance, float) if belief else None,
+            velocity=np.asarray(_moving(belief.mean).velocity, float) if belief else None,
+            covariance=np.asarray(belief.covariance[:MOVING, :MOVING], float) if belief else None,
             left_window=info.left_window if info else 0,
         )
 
     def _control(self, state: Any, stamp: float) -> jax.Array:
-        """Return the control from the IMU since the last image; zeros (constant velocity) without one."""
+        """Return the control from the IMU since the last image; zeros (constant velocity) where it is not used."""
+        if self._motion is not None:
+            return jnp.asarray(self._motion(self.stamp, stamp), jnp.float32)
         if self._imu is None:
             return jnp.zeros(6)
         moving = state.belief.mean

@@ -10,19 +10,20 @@ import pytest
 
 from tests.data.test_dynamics_logs import write_recording
 from tests.helpers.dynamics.logs import circling, dragged, lagging, write_euroc
+from tests.helpers.dynamics.transitions import noisy_transition
 from vssm_gym.cli import main as main_module
 from vssm_gym.data.dynamics.log import DynamicsLog, cut
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix
-from vssm_gym.model.transition import PLANAR, RIGID, Bicycle, Imu
+from vssm_gym.model.transition import PLANAR, RIGID, Bicycle, GaussianBelief, Imu
 from vssm_gym.model.transition.learned_file import NOMINALS, load_transition
 from vssm_gym.training.dynamics import fit as fit_module
 from vssm_gym.training.dynamics import learn as learn_module
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
 from vssm_gym.training.dynamics.evaluation import WINDOWS_AT_ONCE, coverage, path_errors, step_likelihood
-from vssm_gym.training.dynamics.fit import FitConfig, fit, with_gain
-from vssm_gym.training.dynamics.learn import LearnConfig, learn
-from vssm_gym.training.dynamics.windows import windows
+from vssm_gym.training.dynamics.fit import GAINS, HELD_SHARE, FitConfig, calibrate, calibrate_together, fit, with_gain
+from vssm_gym.training.dynamics.learn import GAP, LearnConfig, folded, learn
+from vssm_gym.training.dynamics.windows import Windows, windows
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")  # 150 s of a core instead of 320
 
@@ -57,8 +58,10 @@ def test_drag_and_bias_are_recovered(parts):
 @pytest.mark.slow
 def test_a_learned_transition_beats_integration_on_another_flight(parts):
     """Its envelopes hold most of what happens; with hardly any noise they do not."""
-    fitted = fit(Imu(), *parts, DT, FitConfig(updates=300, batch=16))
+    folds = folded([cut(dragged(40.0, 1, BIAS), DT)], RIGID, 20, 2)
+    fitted = fit(Imu(), folds, DT, FitConfig(updates=300, batch=16, members=2))
     assert not fitted.interrupted
+    assert fitted.transition.members == 2
     errors = [path_errors(model, parts[1], DT).position[-1] for model in (Imu(), fitted.transition)]
     assert errors[1] < 0.6 * errors[0]  # so few updates give 0.2 to 0.5, by how the compiler rounds
     held = coverage(fitted.transition, parts[1].take(slice(0, None, 10)), DT, fitted.noise)
@@ -104,13 +107,62 @@ def test_a_robot_with_slip_and_lag_is_predicted_five_seconds_ahead():
     How far the robot still is from its last commands is not known at the start of a window, which bounds the gain.
     """
     steps, nominal = cut(lagging(150.0, 3)), NOMINALS["holonomic"]()
-    data, held, after = (
-        windows([steps.part(*part)], nominal.manifold, 25) for part in ((0, 480), (480, 600), (600, 750))
-    )
-    start = fit_bias(nominal, data, steps.dt)
-    fitted = fit(start, data, held, steps.dt, FitConfig(updates=500, batch=16))
+    folds = folded([steps.part(0, 600)], nominal.manifold, 25, 2)
+    after = windows([steps.part(600, 750)], nominal.manifold, 25)
+    start = fit_bias(nominal, folds.data, steps.dt)
+    fitted = fit(start, folds, steps.dt, FitConfig(updates=500, batch=16, members=2))
     errors = [path_errors(model, after, steps.dt).position[-1] for model in (nominal, start, fitted.transition)]
     assert errors[2] < 0.6 * errors[0]
+
+
+def test_no_network_has_seen_a_step_that_it_is_judged_on():
+    """Every window is held out from one network at most, and all of them are used."""
+    steps = [cut(lagging(30.0, seed)) for seed in (1, 2)]
+    folds = folded(steps, PLANAR, 10, 3)
+    first = np.concatenate([np.arange(len(s) - 9) + 1000 * k for k, s in enumerate(steps)])
+    for seen, held in zip(folds.seen, folds.held, strict=True):
+        apart = np.abs(first[seen][:, None] - first[held])
+        assert apart.min() >= 10 + GAP
+        assert {0, 1} == set(first[held] // 1000)
+    held = np.concatenate(folds.held)
+    assert len(np.unique(held)) == len(held)
+    assert set(np.concatenate(folds.seen)) | set(held) <= set(range(len(folds.data)))
+
+
+def simulated(transition, count, steps, seed):
+    """Return windows drawn from a transition: a robot that stands at first, its rest at its prior."""
+    controls = jax.random.uniform(jax.random.key(seed), (steps, transition.controls)) * 0.1
+    start = transition.belief_at(np.zeros(3), translation_std=0.0, rotation_std=0.0)
+    states = transition.extend(GaussianBelief(start.mean.body, 1e-12 * jnp.eye(3), PLANAR)).sample(
+        jax.random.key(seed + 1), count
+    )
+    paths = transition.sample_paths(jax.random.key(seed + 2), states, controls, DT).body
+    states = jnp.concatenate([states.body[:, None], paths], axis=1)
+    return Windows(states, jnp.broadcast_to(controls, (count, *controls.shape)))
+
+
+def test_calibration_finds_the_noise_of_a_simulated_system():
+    """Networks whose noise is half, or three times, that of what happens are given it back, within a step of gains."""
+    true = noisy_transition(NOMINALS["holonomic"](), (0.02, 0.05), 3)
+    held = [simulated(true, 24, 6, seed) for seed in (1, 2)]
+    for wrong in (0.5, 3.0):
+        members, gain = calibrate([with_gain(true, wrong)] * 2, held, DT, (0.0, 0.0))
+        assert gain == pytest.approx(1.0 / wrong, rel=0.3)
+        share = np.mean([coverage(member, windows, DT).mean() for member, windows in zip(members, held, strict=True)])
+        assert abs(share - HELD_SHARE) < 0.05
+    assert GAINS[1] / GAINS[0] < 1.2
+
+
+def test_networks_that_agree_keep_the_spread_of_a_simulated_system():
+    """The factor stays near one where all errors are noise, and envelopes hold what they should.
+
+    The rest changes nothing here, so that one network and several equal ones have the same spread.
+    """
+    true = noisy_transition(NOMINALS["holonomic"](), (0.02, 0.05), 3)
+    seen = simulated(true, 24, 6, 5)
+    whole, factor = calibrate_together([true] * 3, seen, DT, (0.0, 0.0))
+    assert 0.85 < factor <= 1.0
+    assert abs(coverage(whole, seen, DT).mean() - HELD_SHARE) < 0.05
 
 
 def run(monkeypatch, capsys, *arguments):
@@ -157,7 +209,7 @@ def test_an_interrupted_training_keeps_its_best(monkeypatch, capsys, tmp_path):
         if (stage, done) == ("training", 10):
             raise KeyboardInterrupt
 
-    config = LearnConfig(horizon=10, fit=FitConfig(updates=500))
+    config = LearnConfig(horizon=10, fit=FitConfig(updates=500, members=2))
     found = learn([tmp_path], config=config, on_progress=interrupt)
     assert found.fitted.interrupted
     assert found.fitted.updates == 10

@@ -87,7 +87,7 @@ def standing_drives(transition: LearnedTransition | None, dt: float) -> Float[Ar
     if transition is None:
         return jnp.zeros((1, SERVOS))
     by_rest, by_path = jax.random.split(jax.random.key(0))
-    rest = jax.random.normal(by_rest, (STANDING_DRIVES, transition.size))
+    rest = jax.random.normal(by_rest, (STANDING_DRIVES, transition.rest))
     states = RestState(jnp.zeros((STANDING_DRIVES, 3)), rest)
     path = transition.sample_paths(by_path, states, jnp.zeros((round(STOOD_FOR / dt), transition.controls)), dt)
     return path.rest[:, -1]

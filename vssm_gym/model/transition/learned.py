@@ -7,6 +7,13 @@
 body axes to those of the manifold at the nominal prediction, and ``e ~ N(0, 1)``. The spread ``s`` depends on ``x``:
 noise is heteroscedastic. The network reads no place and no yaw (:mod:`vssm_gym.model.transition.body_axes`), so that
 ``p(z' | z, u)`` commutes with every motion of the world that keeps gravity. The rest is formed wholly by the network.
+
+Several networks, each trained without another part of the data, may correct together, each with a rest of its own:
+
+    m = sum_k w_k m_k,   w_k = 1/K + d (b_k - mean b) / sqrt(K),   s_body^2 = mean_k s_k^2,   b' = b,   b_0 ~ N(0, 1)
+
+With ``d = 1``, ``w`` has the mean and the covariance of the choice of one of them at random. It hardly changes within a
+path: where networks disagree, futures diverge steadily, as errors of a model do, and not as noise of single steps.
 """
 
 from typing import Any, NamedTuple
@@ -62,10 +69,12 @@ class LearnedTransition(Transition):
 
     Attributes:
         nominal: the step that is corrected; its noise is not used.
-        network: of the inputs to correction, rest and log standard deviations.
+        network: of the inputs to correction, rest and log standard deviations; several have a leading axis.
         scales: units of the network's inputs and outputs.
-        size: dimensions of the rest.
+        size: dimensions of the rest of a network.
         further: controls beyond those of the nominal transition.
+        members: number of networks; one has no leading axis, and no weight.
+        disagreement: ``d``, by which the spread of the weights is multiplied; None: one network.
     """
 
     nominal: Transition
@@ -73,11 +82,18 @@ class LearnedTransition(Transition):
     scales: Scales
     size: int = eqx.field(static=True, default=REST)
     further: int = eqx.field(static=True, default=0)
+    members: int = eqx.field(static=True, default=1)
+    disagreement: Float[Array, ""] | None = None
+
+    @property
+    def rest(self) -> int:
+        """Return the dimensions of the whole rest: that of each network, then what decides on their weights."""
+        return self.size if self.members == 1 else self.members * (self.size + 1)
 
     @property
     def manifold(self) -> WithRest:  # type: ignore[override]
         """Return the space of the nominal transition's states, extended by the rest."""
-        return WithRest(self.nominal.manifold, self.size)
+        return WithRest(self.nominal.manifold, self.rest)
 
     @property
     def controls(self) -> int:  # type: ignore[override]
@@ -97,18 +113,30 @@ class LearnedTransition(Transition):
             control: of the step, one for each state.
             dt: length of the step, s.
         """
-        axes, n = body_axes(self.nominal.manifold), len(self.nominal.manifold.turns)
+        axes, n, size = body_axes(self.nominal.manifold), len(self.nominal.manifold.turns), self.size
         seen = jnp.concatenate([axes.describe(state.body), control], axis=-1)
         seen = jnp.clip((seen - self.scales.centre) / self.scales.spread, -LARGEST_INPUT, LARGEST_INPUT)
-        said = self.network(jnp.concatenate([seen, state.rest], axis=-1))
         h = dt / self.scales.step
-        units = jnp.concatenate([self.scales.errors, jnp.ones(self.size)])
+        least = jnp.log(jnp.concatenate([jnp.full(n, SMALLEST_STD), jnp.full(size, SMALLEST_REST_STD)]))
+        stds_of = lambda said: jnp.exp(jnp.clip(said[..., n + size :], least, LARGEST_LOG_STD))
+        if self.members == 1:
+            said = self.network(jnp.concatenate([seen, state.rest], axis=-1))
+            correction, stds = said[..., :n], stds_of(said)
+            of_body, of_rest, to = stds[..., :n], stds[..., n:], said[..., n : n + size]
+        else:
+            said = self._of_members(seen, state.rest)
+            weights, stds = self._weights(state.rest), stds_of(said)
+            correction = jnp.sum(weights[..., None] * said[..., :n], axis=-2)
+            of_body = jnp.sqrt(jnp.mean(stds[..., :n] ** 2, axis=-2))
+            flat = lambda a: a.reshape(*a.shape[:-2], -1)
+            kept = jnp.full((*said.shape[:-2], self.members), SMALLEST_REST_STD)
+            of_rest = jnp.concatenate([flat(stds[..., n:]), kept], axis=-1)
+            to = jnp.concatenate([flat(said[..., n : n + size]), state.rest[..., self.members * size :]], axis=-1)
         after = self.nominal.mean(state.body, control[..., : self.nominal.controls], dt)
-        xi = axes.to_errors(after, h * said[..., :n] * CORRECTION_PER_STD * self.scales.errors)
+        xi = axes.to_errors(after, h * correction * CORRECTION_PER_STD * self.scales.errors)
         body = self.nominal.manifold.perturb(after, xi)
-        rest = state.rest + h * (said[..., n : n + self.size] - state.rest)
-        least = jnp.log(jnp.concatenate([jnp.full(n, SMALLEST_STD), jnp.full(self.size, SMALLEST_REST_STD)]))
-        stds = units * jnp.exp(jnp.clip(said[..., n + self.size :], least, LARGEST_LOG_STD))
+        rest = state.rest + h * (to - state.rest)
+        stds = jnp.concatenate([of_body * self.scales.errors, of_rest], axis=-1)
         return Step(RestState(body, rest), stds * jnp.sqrt(h))
 
     def mean(self, state: RestState, control: Float[Array, "*batch m"], dt: float | Array) -> RestState:
@@ -121,7 +149,7 @@ class LearnedTransition(Transition):
         n = len(self.nominal.manifold.turns)
         axes = body_axes(self.nominal.manifold)
         turned = jax.vmap(lambda column: axes.to_errors(step.mean.body, column), out_axes=1)(jnp.eye(n))
-        A = jax.scipy.linalg.block_diag(turned, jnp.eye(self.size))
+        A = jax.scipy.linalg.block_diag(turned, jnp.eye(self.rest))
         return (A * step.stds**2) @ A.T
 
     def sample(
@@ -182,13 +210,41 @@ class LearnedTransition(Transition):
 
     def extend(self, of_body: GaussianBelief) -> GaussianBelief:
         """Return a belief over body and rest of one over the body: the rest is at its prior ``N(0, 1)``."""
-        covariance = jax.scipy.linalg.block_diag(of_body.covariance, jnp.eye(self.size))
-        return GaussianBelief(RestState(of_body.mean, jnp.zeros(self.size)), covariance, self.manifold)
+        covariance = jax.scipy.linalg.block_diag(of_body.covariance, jnp.eye(self.rest))
+        return GaussianBelief(RestState(of_body.mean, jnp.zeros(self.rest)), covariance, self.manifold)
 
     def start(self, body: Any) -> RestState:
         """Return states of the nominal transition, (*batch, ...), with the rest at zero."""
         batch = self.nominal.manifold.pose(body).shape[:-2]
-        return RestState(body, jnp.zeros((*batch, self.size)))
+        return RestState(body, jnp.zeros((*batch, self.rest)))
+
+    def _of_members(self, seen: Float[Array, "*batch inputs"], rest: Float[Array, "*batch r"]) -> Array:
+        """Return what each network says of the same step and its own rest, axes ``(*batch, members, outputs)``."""
+        rests = rest[..., : self.members * self.size].reshape(*rest.shape[:-1], self.members, self.size)
+        shared = jnp.broadcast_to(seen[..., None, :], (*rests.shape[:-1], seen.shape[-1]))
+        inputs = jnp.concatenate([shared, rests], axis=-1)
+        return jax.vmap(lambda network, x: network(x), in_axes=(0, -2), out_axes=-2)(self.network, inputs)
+
+    def _weights(self, rest: Float[Array, "*batch r"]) -> Float[Array, "*batch members"]:
+        """``w_k = 1/K + d (b_k - mean b) / sqrt(K)``: their sum is one."""
+        b = rest[..., self.members * self.size :]
+        spread = jnp.asarray(self.disagreement) / self.members**0.5
+        return 1.0 / self.members + spread * (b - b.mean(axis=-1, keepdims=True))
+
+
+def together(members: list[LearnedTransition]) -> LearnedTransition:
+    """Return one transition in which the networks of several correct the same nominal step together.
+
+    Args:
+        members: each with one network; they differ in nothing else.
+    """
+    if len(members) == 1:
+        return members[0]
+    first = members[0]
+    networks = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(member.network for member in members))
+    return LearnedTransition(
+        first.nominal, networks, first.scales, first.size, first.further, len(members), jnp.ones(())
+    )
 
 
 def untrained(

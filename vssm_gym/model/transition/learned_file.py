@@ -25,13 +25,14 @@ from vssm_gym.model.transition.bicycle import Bicycle
 from vssm_gym.model.transition.body_axes import body_axes
 from vssm_gym.model.transition.calibrated import CalibratedDrive, CalibratedImu, ImuConstants
 from vssm_gym.model.transition.imu import Imu
-from vssm_gym.model.transition.learned import LearnedTransition, Scales, untrained
+from vssm_gym.model.transition.learned import LearnedTransition, Scales, together, untrained
 from vssm_gym.model.transition.motion_noise import MotionNoise
 from vssm_gym.model.transition.planar import Planar
 
-FORMAT, VERSION = "vssm-gym-transition", 1
+# Version 1 had one network in every file; since version 2 the header says how many there are.
+FORMAT, VERSION = "vssm-gym-transition", 2
 FILE_BYTES = 64 << 20  # a network of 5 layers of 64 has 0.1 MB
-LARGEST = {"size": 64, "further": 64, "width": 1024, "depth": 32}  # of each number in the header
+LARGEST = {"size": 64, "further": 64, "width": 1024, "depth": 32, "members": 16}  # of each number in the header
 
 EXPECTED = "a learned transition (.npz); `vssm-gym train-dynamics` makes one"
 
@@ -77,9 +78,10 @@ def save_transition(path: str | Path, transition: LearnedTransition, kind: str, 
     Raises:
         InputError: another nominal step than the one of this kind.
     """
-    depth, width, _ = transition.network.layers[0].shape
+    depth, width, _ = transition.network.layers[0].shape[-3:]
     named = _arrays(transition)
     numbers = {"size": transition.size, "further": transition.further, "width": width, "depth": depth}
+    numbers["members"] = transition.members
     form = _form(kind, numbers) if kind in NOMINALS else None
     if form is None or type(form.nominal) is not type(transition.nominal) or _arrays(form).keys() != named.keys():
         raise InputError(path, "transition", f"a correction of the nominal step of {' or '.join(NOMINALS)}")
@@ -100,8 +102,12 @@ def load_transition(path: str | Path) -> TransitionFile:
     with open_npz(io.BytesIO(data), path, FILE_BYTES, EXPECTED) as stored:
         header = stored.read_json("header", path)
         found = (header.get("format"), header.get("version")) if isinstance(header, dict) else (None, None)
-        if found != (FORMAT, VERSION):
-            raise InputError(path, "version", f"{FORMAT} version {VERSION}; found {found[0]!s:.80} {found[1]!s:.80}")
+        if found[0] != FORMAT or found[1] not in (1, VERSION) or isinstance(found[1], bool):
+            raise InputError(
+                path, "version", f"{FORMAT} version 1 or {VERSION}; found {found[0]!s:.80} {found[1]!s:.80}"
+            )
+        if found[1] == 1:
+            header = header | {"members": 1}
         kind, trained = header.get("kind"), header.get("trained")
         if not isinstance(kind, str) or kind not in NOMINALS:
             raise InputError(path, "kind", f"one of {', '.join(NOMINALS)}")
@@ -142,7 +148,10 @@ def _form(kind: str, numbers: dict[str, int]) -> LearnedTransition:
         len(nominal.manifold.turns),
     )
     scales = Scales(jnp.zeros(inputs), jnp.ones(inputs), jnp.ones(n), jnp.ones(()))
-    return untrained(jax.random.key(0), nominal, scales, **numbers)
+    member = untrained(
+        jax.random.key(0), nominal, scales, *(numbers[name] for name in ("size", "further", "width", "depth"))
+    )
+    return together([member] * numbers["members"])
 
 
 def _arrays(transition: LearnedTransition) -> dict[str, Any]:

@@ -1,25 +1,29 @@
-"""Train a learned transition: Adam on random windows whose length grows, the best on held-out windows kept."""
+"""Train a learned transition: several networks at once, each without another part of the data.
+
+Adam on random windows whose length grows. Each network is judged, and its noise calibrated, on the part of the data
+that it has not seen; together they have seen all of it, and the transition is all of them.
+"""
 
 import time
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.body_axes import body_axes
-from vssm_gym.model.transition.learned import LearnedTransition, Scales, untrained
+from vssm_gym.model.transition.learned import LearnedTransition, Scales, together, untrained
 from vssm_gym.model.transition.manifold import RIGID
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.dynamics.evaluation import coverage
 from vssm_gym.training.dynamics.inverse_emission import new_inverse_emission
-from vssm_gym.training.dynamics.objective import ELBO_WEIGHT, Model, elbo, predictions
+from vssm_gym.training.dynamics.objective import ELBO_WEIGHT, Model, Predictions, elbo, predictions
 from vssm_gym.training.dynamics.windows import Windows, measure_scales
 
 FIRST_LOG_STD = -5.0  # of measured poses: 7 mm and 7 mrad, as of motion capture
@@ -32,9 +36,11 @@ EVIDENCE_STEPS = 20  # steps over which the evidence is taken, of a window
 BIAS_STDS = (0.05, 0.005)  # m/s^2, rad/s
 BIAS_SHARE = 0.02  # of the spread of a further control
 JUDGED_EVERY = 50  # updates between two looks at the held-out windows
-HELD_WINDOWS = 64  # held-out windows at most
+NETWORKS = 4  # networks: the more of them, the less data each misses, and the longer the training
+HELD_WINDOWS = 32  # held-out windows of each network at most
 GAINS = np.geomspace(0.25, 8.0, 32)  # of the noise, among which calibration chooses
-CALIBRATED_ON = 64  # held-out windows at most, each of which takes a tenth of a second for every gain
+SPREAD_FACTORS = np.geomspace(0.1, 1.0, 16)  # of the spread of all networks together, likewise
+CALIBRATED_ON = 24  # held-out windows of each network at most, each a tenth of a second for every gain
 HELD_SHARE = 0.95  # share of held-out states that the envelopes of 95 % should hold
 
 
@@ -45,18 +51,34 @@ class FitConfig:
     Attributes:
         updates: gradient steps.
         minutes: after which it ends even so.
-        batch: windows a gradient step.
+        batch: windows a gradient step, of each network.
+        members: networks, each trained without another part of the data.
         rate: of Adam at first; it falls to zero as a cosine.
         decay: of the weights, in units of the rate.
         seed: of weights and draws.
     """
 
-    updates: int = 1500
+    updates: int = 1200
     minutes: float = 9.0
-    batch: int = 24
+    batch: int = 12
+    members: int = NETWORKS
     rate: float = 2e-3
     decay: float = 0.0
     seed: int = 0
+
+
+class Folds(NamedTuple):
+    """Hold which windows each network is trained on, and which it has not seen.
+
+    Attributes:
+        data: all windows; their length is the longest horizon.
+        seen: of each network, windows that it is trained on.
+        held: of each network, windows that share no step with those.
+    """
+
+    data: Windows
+    seen: Int[np.ndarray, "members n"]
+    held: list[Int[np.ndarray, "_"]]
 
 
 @dataclass(frozen=True)
@@ -64,32 +86,35 @@ class Fitted:
     """Hold what a training has found.
 
     Attributes:
-        transition: the best one on the held-out windows, its noise calibrated there.
+        transition: all networks together, with calibrated noise.
+        members: each network alone, likewise, in the order of the folds.
         updates: that were done.
         seconds: that they took, compilation included.
         interrupted: whether it was ended before its time.
-        score: of the best, on the held-out windows: m.
+        score: of the best, on windows that its networks have not seen, their mean: m.
         improved: whether any update was better there than the nominal step.
-        gain: by which calibration multiplied the noise.
+        gain: by which calibration multiplied the noise of each network.
+        factor: by which it multiplied the spread of all of them together after that.
         noise: standard deviations of measured positions (m) and rotations (rad), as learned.
         history: a row each time the held-out windows were looked at.
     """
 
     transition: LearnedTransition
+    members: list[LearnedTransition]
     updates: int
     seconds: float
     interrupted: bool
     score: float
     improved: bool
     gain: float
+    factor: float
     noise: tuple[float, float]
     history: list[dict[str, float]]
 
 
 def fit(
     nominal: Transition,
-    data: Windows,
-    held: Windows,
+    folds: Folds,
     dt: float,
     config: FitConfig | None = None,
     on_progress: OnProgress | None = None,
@@ -98,36 +123,40 @@ def fit(
 
     Args:
         nominal: whose steps are corrected.
-        data: windows to learn from; their length is the longest horizon.
-        held: windows of the same length from other parts, on which the best is chosen and its noise calibrated.
+        folds: windows, and which of them each network learns from; their number is that of the networks.
         dt: length of a step, s.
         config: effort, rates and seed.
         on_progress: called with ("training", updates, total).
     """
     config, began = config or FitConfig(), time.monotonic()
-    key = jax.random.key(config.seed)
-    model = _new_model(key, nominal, data, dt)
-    held = held.take(_spread(len(held), HELD_WINDOWS))
-    stds = _bias_stds(nominal, model.transition.scales)
+    key, data = jax.random.key(config.seed), folds.data
+    scales = measure_scales(nominal, data.take(folds.seen[0]), dt)
+    models = [_new_model(jax.random.fold_in(key, k), nominal, scales, data) for k in range(len(folds.seen))]
+    form, trained = models[0], jax.tree.map(lambda *a: jnp.stack(a), *map(_trained, models))
+    seen = jnp.asarray(folds.seen)
+    some = [held[_spread(len(held), HELD_WINDOWS)] for held in folds.held]
+    most = max(map(len, some))
+    judged = data.take(np.stack([np.resize(held, most) for held in some]))
+    stds = _bias_stds(nominal, scales)
     horizon = data.controls.shape[1]
-    untrained_transition = model.transition
     optimizer = optimizer_for(config)
-    moments, history = optimizer.init(_trained(model)), list[dict[str, float]]()
-    first = float(_judge(model.transition, held, dt))
-    best, score, done, interrupted = model.transition, first, 0, False
+    moments, history = jax.vmap(optimizer.init)(trained), list[dict[str, float]]()
+    first = float(_judge(form, trained, judged, dt))
+    best, score, done, interrupted = trained, first, 0, False
     try:
         for done in range(1, config.updates + 1):
             steps = max(2, round(_share(done / config.updates) * horizon))
             drawn = jax.random.fold_in(key, done)
-            bound, of_evidence = _evidence(model, data, drawn, dt, config.batch, min(EVIDENCE_STEPS, horizon), stds)
-            terms, of_prediction = _prediction(model.transition, data, drawn, dt, config.batch, steps, stds)
-            model, moments = _step(model, of_evidence, of_prediction, moments, optimizer)
+            of = (form, trained, data, seen, drawn, dt, config.batch)
+            bound, of_evidence = _evidence(*of, min(EVIDENCE_STEPS, horizon), stds)
+            terms, of_prediction = _prediction(*of, steps, stds)
+            trained, moments = _step(trained, of_evidence, of_prediction, moments, optimizer)
             if done % JUDGED_EVERY == 0 or done == config.updates:
-                now = float(_judge(model.transition, held, dt))
-                row = {"updates": done, "held": now, "elbo": float(bound)}
-                history.append(row | {"score": float(terms.score), "path": float(terms.path)})
+                now = float(_judge(form, trained, judged, dt))
+                row = {"updates": done, "held": now, "elbo": float(bound.mean())}
+                history.append(row | {"score": float(terms.score.mean()), "path": float(terms.path.mean())})
                 if now < score:
-                    best, score = model.transition, now
+                    best, score = trained, now
             if on_progress and (done % 10 == 0 or done == config.updates):
                 on_progress("training", done, config.updates)
             if time.monotonic() - began > 60.0 * config.minutes:
@@ -135,11 +164,16 @@ def fit(
     except KeyboardInterrupt:
         interrupted = True
     # Compiled updates return the plain numbers of the nominal step as arrays: those that were given are kept.
-    best = eqx.tree_at(lambda t: t.network, untrained_transition, best.network)
-    position, rotation = (float(std) for std in jnp.exp(model.log_stds))
-    best, gain = calibrate(best, held, dt, (position, rotation))
+    members = [
+        eqx.tree_at(lambda t: t.network, form.transition, jax.tree.map(lambda a, k=k: a[k], best[0]))
+        for k in range(len(models))
+    ]
+    position, rotation = (float(std) for std in jnp.exp(trained[2]).mean(axis=0))
+    members, gain = calibrate(members, [data.take(held) for held in folds.held], dt, (position, rotation))
+    transition, factor = calibrate_together(members, data, dt, (position, rotation))
     seconds = time.monotonic() - began
-    return Fitted(best, done, seconds, interrupted, score, score < first, gain, (position, rotation), history)
+    noise = (position, rotation)
+    return Fitted(transition, members, done, seconds, interrupted, score, score < first, gain, factor, noise, history)
 
 
 def optimizer_for(config: FitConfig) -> optax.GradientTransformation:
@@ -153,34 +187,68 @@ def optimizer_for(config: FitConfig) -> optax.GradientTransformation:
 
 
 def calibrate(
-    transition: LearnedTransition, held: Windows, dt: float, noise: tuple[float, float]
-) -> tuple[LearnedTransition, float]:
-    """Multiply the noise by the gain with which envelopes hold the share of held-out states that they should.
+    members: list[LearnedTransition], held: list[Windows], dt: float, noise: tuple[float, float]
+) -> tuple[list[LearnedTransition], float]:
+    """Multiply the noise by the gain with which envelopes hold the share of unseen states that they should.
 
-    A network that has seen its windows many times is surer of them than of others. The share is that of all steps of
-    all windows; it is a mean over the coordinates of position, and of pose.
+    A network that has seen its windows many times is surer of them than of others, so each is judged on those that it
+    has not seen. The share is that of all steps of all windows; it is a mean over the coordinates of position, and of
+    pose.
 
     Args:
-        transition: after training.
-        held: windows that it was not trained on.
+        members: transitions with one network each, after training.
+        held: of each, windows that it was not trained on.
         dt: length of a step, s.
         noise: standard deviations of measured positions (m) and rotations (rad).
     """
-    some = held.take(_spread(len(held), CALIBRATED_ON))
+    some = [windows.take(_spread(len(windows), CALIBRATED_ON)) for windows in held]
     low, high = 0, len(GAINS) - 1  # coverage grows with the gain: bisection
     while low < high:
         middle = (low + high) // 2
-        louder = with_gain(transition, GAINS[middle])
-        share = coverage(louder, some, dt, noise).mean()
+        shares = [
+            coverage(with_gain(member, GAINS[middle]), windows, dt, noise).mean()
+            for member, windows in zip(members, some, strict=True)
+        ]
+        low, high = (middle + 1, high) if np.mean(shares) < HELD_SHARE else (low, middle)
+    return [with_gain(member, GAINS[low]) for member in members], float(GAINS[low])
+
+
+def calibrate_together(
+    members: list[LearnedTransition], seen: Windows, dt: float, noise: tuple[float, float]
+) -> tuple[LearnedTransition, float]:
+    """Return all networks together, their spread multiplied by ``sqrt(f)``.
+
+    On unseen data they err less together than each alone, whose error the spread is that of, and more than on data that
+    most of them have seen, which envelopes hold with the spread times ``f``. Their error there cannot be measured: the
+    factor is the middle between 1 and ``f``, on a scale of ratios.
+
+    Args:
+        members: transitions with one network each, calibrated.
+        seen: windows that they were trained on.
+        dt: length of a step, s.
+        noise: standard deviations of measured positions (m) and rotations (rad).
+    """
+    whole = together(members)
+    if whole.members == 1:
+        return whole, 1.0
+    some = seen.take(_spread(len(seen), CALIBRATED_ON))
+    low, high = 0, len(SPREAD_FACTORS) - 1
+    while low < high:
+        middle = (low + high) // 2
+        share = coverage(with_gain(whole, SPREAD_FACTORS[middle]), some, dt, noise).mean()
         low, high = (middle + 1, high) if share < HELD_SHARE else (low, middle)
-    return with_gain(transition, GAINS[low]), float(GAINS[low])
+    factor = float(SPREAD_FACTORS[low]) ** 0.5
+    return with_gain(whole, factor), factor
 
 
 def with_gain(transition: LearnedTransition, gain: float) -> LearnedTransition:
-    """Return the transition with all standard deviations multiplied, those of the rest included."""
+    """Return the transition with all standard deviations multiplied: of the rest too, and of networks' weights."""
     spread = len(transition.nominal.manifold.turns) + transition.size
-    offset = transition.network.offset.at[spread:].add(jnp.log(gain))
-    return eqx.tree_at(lambda t: t.network.offset, transition, offset)
+    offset = transition.network.offset.at[..., spread:].add(jnp.log(gain))
+    louder = eqx.tree_at(lambda t: t.network.offset, transition, offset)
+    if transition.disagreement is None:
+        return louder
+    return eqx.tree_at(lambda t: t.disagreement, louder, transition.disagreement * gain)
 
 
 def _bias_stds(nominal: Transition, scales: Scales) -> Float[Array, "m"]:
@@ -191,10 +259,9 @@ def _bias_stds(nominal: Transition, scales: Scales) -> Float[Array, "m"]:
     return (BIAS_SHARE * spread).at[:6].set(jnp.repeat(jnp.asarray(BIAS_STDS), 3))
 
 
-def _new_model(key: PRNGKeyArray, nominal: Transition, data: Windows, dt: float) -> Model:
+def _new_model(key: PRNGKeyArray, nominal: Transition, scales: Scales, data: Windows) -> Model:
     by_network, by_inverse = jax.random.split(key)
-    further = data.controls.shape[-1] - nominal.controls
-    transition = untrained(by_network, nominal, measure_scales(nominal, data, dt), further=further)
+    transition = untrained(by_network, nominal, scales, further=data.controls.shape[-1] - nominal.controls)
     return Model(transition, new_inverse_emission(by_inverse, transition), jnp.full(2, FIRST_LOG_STD))
 
 
@@ -205,60 +272,75 @@ def _trained(model: Model) -> Any:
 
 @partial(jax.jit, static_argnames=("batch", "steps"))
 def _evidence(
-    model: Model, data: Windows, key: PRNGKeyArray, dt: float, batch: int, steps: int, bias_stds: Array
-) -> tuple[Array, Any]:
-    """Return the ELBO on the beginnings of some windows, and the gradient of its negative."""
-    some = _beginnings(data, key, batch, steps, bias_stds)
-    loss = lambda trained: -ELBO_WEIGHT * elbo(_placed(model, trained), some, jax.random.fold_in(key, 1), dt)
-    value, gradient = jax.value_and_grad(loss)(_trained(model))
-    return -value / ELBO_WEIGHT, gradient
+    form: Model, trained: Any, data: Windows, seen: Array, key: PRNGKeyArray, dt: float, batch: int, steps: int,
+    bias_stds: Array,
+) -> tuple[Array, Any]:  # fmt: skip
+    """Return the ELBO of each network on the beginnings of some windows, and the gradient of its negative."""
+
+    def of_one(trained: Any, seen: Array, key: PRNGKeyArray) -> tuple[Array, Any]:
+        some = _beginnings(data, seen, key, batch, steps, bias_stds)
+        loss = lambda trained: -ELBO_WEIGHT * elbo(_placed(form, trained), some, jax.random.fold_in(key, 1), dt)
+        value, gradient = jax.value_and_grad(loss)(trained)
+        return -value / ELBO_WEIGHT, gradient
+
+    return jax.vmap(of_one)(trained, seen, jax.random.split(key, len(seen)))
 
 
 @partial(jax.jit, static_argnames=("batch", "steps"))
 def _prediction(
-    transition: LearnedTransition, data: Windows, key: PRNGKeyArray, dt: float, batch: int, steps: int, bias_stds: Array
-) -> tuple[Any, Any]:
-    """Return score and distance on the beginnings of some windows, and the gradient of their sum."""
-    some = _beginnings(data, key, batch, steps, bias_stds)
+    form: Model, trained: Any, data: Windows, seen: Array, key: PRNGKeyArray, dt: float, batch: int, steps: int,
+    bias_stds: Array,
+) -> tuple[Predictions, Any]:  # fmt: skip
+    """Return score and distance of each network on the beginnings of some windows, and the gradient of their sum."""
 
-    def loss(network: Any) -> tuple[Array, Any]:
-        terms = predictions(eqx.tree_at(lambda t: t.network, transition, network), some, jax.random.fold_in(key, 1), dt)
-        return terms.score + terms.path, terms
+    def of_one(network: Any, seen: Array, key: PRNGKeyArray) -> tuple[Predictions, Any]:
+        some = _beginnings(data, seen, key, batch, steps, bias_stds)
 
-    (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(transition.network)
-    return terms, gradient
+        def loss(network: Any) -> tuple[Array, Predictions]:
+            transition = eqx.tree_at(lambda t: t.network, form.transition, network)
+            terms = predictions(transition, some, jax.random.fold_in(key, 1), dt)
+            return terms.score + terms.path, terms
+
+        (_, terms), gradient = jax.value_and_grad(loss, has_aux=True)(network)
+        return terms, gradient
+
+    return jax.vmap(of_one)(trained[0], seen, jax.random.split(key, len(seen)))
 
 
 @partial(jax.jit, static_argnames="optimizer")
 def _step(
-    model: Model, of_evidence: Any, of_prediction: Any, moments: Any, optimizer: optax.GradientTransformation
-) -> tuple[Model, Any]:
-    """Take one step along the sum of both gradients."""
-    network = jax.tree.map(jnp.add, of_evidence[0], of_prediction)
-    before = _trained(model)
-    steps, moments = optimizer.update((network, *of_evidence[1:]), moments, before)
-    return _placed(model, optax.apply_updates(before, steps)), moments
+    trained: Any, of_evidence: Any, of_prediction: Any, moments: Any, optimizer: optax.GradientTransformation
+) -> tuple[Any, Any]:
+    """Take one step of each network along the sum of both gradients."""
+    gradient = (jax.tree.map(jnp.add, of_evidence[0], of_prediction), *of_evidence[1:])
+    steps, moments = jax.vmap(optimizer.update)(gradient, moments, trained)
+    return optax.apply_updates(trained, steps), moments
 
 
-def _beginnings(data: Windows, key: PRNGKeyArray, batch: int, steps: int, stds: Array) -> Windows:
-    """Return the first steps of some windows, the controls of each with a bias of its own."""
+def _beginnings(data: Windows, seen: Array, key: PRNGKeyArray, batch: int, steps: int, stds: Array) -> Windows:
+    """Return the first steps of some of the windows that are seen, the controls of each with a bias of its own."""
     by_window, by_bias = jax.random.split(key)
-    some = data.take(jax.random.randint(by_window, (batch,), 0, len(data)))
+    some = data.take(jax.random.choice(by_window, seen, (batch,)))
     bias = jax.random.normal(by_bias, (batch, 1, stds.shape[0])) * stds
     return Windows(jax.tree.map(lambda a: a[:, : steps + 1], some.states), some.controls[:, :steps] + bias)
 
 
-def _placed(model: Model, trained: Any) -> Model:
+def _placed(form: Model, trained: Any) -> Model:
     network, inverse, log_stds = trained
-    transition = eqx.tree_at(lambda t: t.network, model.transition, network)
-    return Model(transition, eqx.combine(inverse, model.inverse), log_stds)
+    transition = eqx.tree_at(lambda t: t.network, form.transition, network)
+    return Model(transition, eqx.combine(inverse, form.inverse), log_stds)
 
 
 @jax.jit
-def _judge(transition: LearnedTransition, held: Windows, dt: float) -> Float[Array, ""]:
-    """Return score and distance on held-out windows, with the same draws each time."""
-    terms = predictions(transition, held, jax.random.key(0), dt)
-    return terms.score + terms.path
+def _judge(form: Model, trained: Any, held: Windows, dt: float) -> Float[Array, ""]:
+    """Return score and distance on windows that each network has not seen, with the same draws each time: the mean."""
+
+    def of_one(network: Any, held: Windows) -> Array:
+        transition = eqx.tree_at(lambda t: t.network, form.transition, network)
+        terms = predictions(transition, held, jax.random.key(0), dt)
+        return terms.score + terms.path
+
+    return jnp.mean(jax.vmap(of_one)(trained[0], held))
 
 
 def _share(progress: float) -> float:

@@ -1,12 +1,14 @@
 """Learn a transition from logs: cut them, fit the baselines, train, and compare all of them on other parts.
 
-The first three quarters of each log are trained on. The last quarter is held out: the best network is chosen and its
-noise calibrated there. Whole other logs may be given as a test, which nothing is fitted to.
+Each log is cut into as many blocks as there are networks, and each network is trained without one block of each log:
+there the best update is chosen and the noise calibrated, and figures of "held out" are those of each network on its
+own. Whole other logs may be given as a test, which nothing is fitted to.
 """
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from vssm_gym.data.dynamics.log import DynamicsLog, Kind, Steps, cut
 from vssm_gym.data.dynamics.read import read_dynamics
@@ -21,15 +24,16 @@ from vssm_gym.errors import InputError
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.learned import LearnedTransition
 from vssm_gym.model.transition.learned_file import NOMINALS
+from vssm_gym.model.transition.manifold import Manifold
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
 from vssm_gym.training.dynamics.evaluation import coverage, path_errors, step_likelihood
-from vssm_gym.training.dynamics.fit import FitConfig, Fitted, fit
+from vssm_gym.training.dynamics.fit import FitConfig, Fitted, Folds, fit
 from vssm_gym.training.dynamics.windows import Windows, windows
 
 PHASES = 10  # cuts of a log that begin at other times within a step: as many windows of the same motion
-HELD_SHARE_OF_LOG = 0.25  # share of a log, its end, that is not trained on
-FEWEST_HELD = 10  # steps that are held out of a log at least
+FEWEST_HELD = 10  # steps of a block at least
+LONGEST_SHARE = 0.8  # of a block, that a window takes at most: several windows must fit
 GAP = 2  # steps between what is trained on and what is held out: velocities are measured over several poses
 COVERED_WINDOWS = 80  # windows at most from which coverage is measured
 
@@ -79,7 +83,7 @@ def learn(
     """Learn a transition from logs of one kind.
 
     Args:
-        data: logs to learn from; the end of each is held out.
+        data: logs to learn from; a block of each is held out from each network.
         test: logs that are only predicted.
         config: step, horizon and effort.
         on_progress: called with ("training", updates, total) and ("comparing", models, total).
@@ -96,29 +100,32 @@ def learn(
             expected = f"a log of the kind {logs[0].kind} with {logs[0].controls.shape[1]} numbers in a control"
             raise InputError(log.source, "controls", f"{expected}; found {log.kind}, {log.controls.shape[1]}")
     kind, nominal = logs[0].kind, NOMINALS[logs[0].kind]()
-    trained, held = zip(*(_divide(cuts(log, config.step)) for log in logs), strict=True)
-    dt = trained[0][0].dt
-    shortest = min(len(steps) for part in held for steps in part)
-    horizon = min(config.horizon, int(0.8 * shortest))
+    parts = [steps for log in logs for steps in cuts(log, config.step)]
+    dt, shortest = parts[0].dt, min(map(len, parts)) // config.fit.members
+    horizon = min(config.horizon, int(LONGEST_SHARE * shortest))
     if shortest < FEWEST_HELD:
-        raise InputError(
-            logs[0].source, "times", f"a longer log: its last {HELD_SHARE_OF_LOG:.0%} has {shortest} steps"
-        )
-    parts = {
-        "trained on": windows([s for part in trained for s in part], nominal.manifold, horizon),
-        "held out": windows([s for part in held for s in part], nominal.manifold, horizon),
-    }
+        raise InputError(logs[0].source, "times", f"a longer log: a block has {shortest} steps")
+    folds = folded(parts, nominal.manifold, horizon, config.fit.members)
+    tested = {}
     for log in tests:
         steps = cuts(log, config.step)
         if len(steps[0]) < horizon:
             raise InputError(log.source, "times", f"at least {horizon} steps of {dt:g} s; found {len(steps[0])}")
-        parts[f"test: {Path(log.source).name}"] = windows(steps, nominal.manifold, horizon)
+        tested[f"test: {Path(log.source).name}"] = windows(steps, nominal.manifold, horizon)
     baselines = {
         "euler": nominal,
-        "bias": fit_bias(nominal, parts["trained on"], dt),
-        "parametric": fit_parametric(nominal, parts["trained on"], dt),
+        "bias": fit_bias(nominal, folds.data, dt),
+        "parametric": fit_parametric(nominal, folds.data, dt),
     }
-    fitted = fit(baselines["bias"], parts["trained on"], parts["held out"], dt, config.fit, on_progress)
+    fitted = fit(baselines["bias"], folds, dt, config.fit, on_progress)
+    whole = baselines | {"learned": fitted.transition}
+    compared = {
+        "trained on": [(whole, folds.data)],
+        "held out": [
+            (baselines | {"learned": member}, folds.data.take(held))
+            for member, held in zip(fitted.members, folds.held, strict=True)
+        ],
+    } | {name: [(whole, data)] for name, data in tested.items()}
     report = {
         "kind": kind,
         "data": [Path(path).name for path in data],
@@ -130,9 +137,10 @@ def learn(
         "seconds": round(fitted.seconds, 1),
         "interrupted": fitted.interrupted,
         "gain": fitted.gain,
+        "factor": fitted.factor,
         "measured_stds": fitted.noise,
         "history": fitted.history,
-        "parts": compare(baselines | {"learned": fitted.transition}, parts, dt, fitted.noise, on_progress),
+        "parts": compare(compared, folds.data, dt, fitted.noise, on_progress),
     }
     return Learned(kind, fitted, report)
 
@@ -145,15 +153,37 @@ def cuts(log: DynamicsLog, step: float) -> list[Steps]:
     return [cut(log, step, k * step / phases) for k in range(phases)]
 
 
-def _divide(phases: list[Steps]) -> tuple[list[Steps], list[Steps]]:
-    """Return what is trained on and what is held out, of every cut of a log."""
-    first = round((1.0 - HELD_SHARE_OF_LOG) * min(map(len, phases)))
-    return [s.part(0, first - GAP) for s in phases], [s.part(first, len(s)) for s in phases]
+def folded(parts: list[Steps], manifold: Manifold, horizon: int, members: int) -> Folds:
+    """Cut each part into blocks, and find the windows of each block and those that share no step with it.
+
+    Args:
+        parts: that are not continued by each other.
+        manifold: of the states.
+        horizon: steps of a window.
+        members: blocks of each part, and networks.
+    """
+    data = windows(parts, manifold, horizon)
+    seen: list[list[np.ndarray]] = [[] for _ in range(members)]
+    held: list[list[np.ndarray]] = [[] for _ in range(members)]
+    count = 0
+    for steps in parts:
+        first = np.arange(len(steps) - horizon + 1)
+        last, edges = first + horizon, np.linspace(0, len(steps), members + 1).round().astype(int)
+        for k, (begin, end) in enumerate(pairwise(edges)):
+            seen[k].append(count + np.flatnonzero((last <= begin - GAP) | (first >= end + GAP)))
+            held[k].append(count + np.flatnonzero((first >= begin) & (last <= end)))
+        count += len(first)
+    every = [np.concatenate(indices) for indices in seen]
+    most = max(map(len, every))  # of equal number, since all networks are trained at once
+    return Folds(data, np.stack([np.resize(indices, most) for indices in every]), list(map(np.concatenate, held)))
+
+
+Compared = list[tuple[dict[str, Transition], Windows]]  # models by name, and windows that they predict
 
 
 def compare(
-    models: dict[str, Transition],
-    parts: dict[str, Windows],
+    parts: dict[str, Compared],
+    trained_on: Windows,
     dt: float,
     noise: tuple[float, float] = (0.0, 0.0),
     on_progress: OnProgress | None = None,
@@ -161,8 +191,9 @@ def compare(
     """Return errors, coverage and likelihood of every model on every part.
 
     Args:
-        models: by name; ``learned`` also says how certain it is.
-        parts: windows by name; the noise of the other models is measured on the part "trained on".
+        parts: by name, pieces each with its models by name; ``learned`` also says how certain it is. Figures of a part
+            are those of all its windows.
+        trained_on: windows on which the noise of the other models is measured.
         dt: length of a step, s.
         noise: standard deviations of measured positions (m) and rotations (rad), for the envelopes.
         on_progress: called with ("comparing", models, total).
@@ -173,34 +204,46 @@ def compare(
         envelopes of 95 %.
     """
     rows: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, data in parts.items():
-        horizon = data.controls.shape[1]
+    total = sum(len(pieces[0][0]) for pieces in parts.values())
+    for name, pieces in parts.items():
+        horizon, shares = pieces[0][1].controls.shape[1], [len(data) for _, data in pieces]
         at = {str(k): k - 1 for k in sorted({max(1, horizon // 10), max(1, 3 * horizon // 10), horizon})}
-        some = data.take(np.unique(np.linspace(0, len(data) - 1, min(len(data), COVERED_WINDOWS)).round().astype(int)))
-        for model_name, model in models.items():
-            errors = path_errors(model, data, dt)
+        pooled = lambda values, shares=shares: np.average(values, axis=0, weights=shares)
+        for model_name in pieces[0][0]:
+            models = [(by_name[model_name], data) for by_name, data in pieces]
+            errors = [path_errors(model, data, dt) for model, data in models]
+            position, rotation = (
+                np.sqrt(pooled([np.square(of) for of in every])) for every in zip(*map(astuple, errors), strict=True)
+            )
+            likelihoods = [step_likelihood(model, trained_on, data, dt, noise) for model, data in models]
             row: dict[str, Any] = {
-                "windows": len(data),
-                "position": {k: round(float(errors.position[i]), 4) for k, i in at.items()},
-                "rotation": {k: round(float(errors.rotation[i]), 4) for k, i in at.items()},
-                "log_likelihood": round(step_likelihood(model, parts["trained on"], data, dt, noise), 3),
+                "windows": sum(shares),
+                "position": {k: round(float(position[i]), 4) for k, i in at.items()},
+                "rotation": {k: round(float(rotation[i]), 4) for k, i in at.items()},
+                "log_likelihood": round(float(pooled(likelihoods)), 3),
             }
-            if isinstance(model, LearnedTransition):
-                row["coverage"] = _coverage(model, some, dt, noise, at)
+            learned = [(model, data) for model, data in models if isinstance(model, LearnedTransition)]
+            if learned:
+                most = COVERED_WINDOWS // len(learned)
+                held = pooled([coverage(model, spread_over(data, most), dt, noise) for model, data in learned])
+                row["coverage"] = _coverage(held, at)
             rows.setdefault(name, {})[model_name] = row
             if on_progress:
-                on_progress("comparing", sum(map(len, rows.values())), len(parts) * len(models))
+                on_progress("comparing", sum(map(len, rows.values())), total)
     return rows
 
 
-def _coverage(
-    model: LearnedTransition, data: Windows, dt: float, noise: tuple[float, float], at: dict[str, int]
-) -> dict[str, dict[str, float]]:
+def spread_over(data: Windows, most: int) -> Windows:
+    """Return at most so many of the windows, evenly spread."""
+    return data.take(np.unique(np.linspace(0, len(data) - 1, min(len(data), most)).round().astype(int)))
+
+
+def _coverage(held: Float[np.ndarray, "2 time"], at: dict[str, int]) -> dict[str, dict[str, float]]:
     """Return shares of windows inside envelopes of 95 %: of the position, and of the pose."""
     result = {}
-    for name, held in zip(("position", "pose"), coverage(model, data, dt, noise), strict=True):
-        shares = {k: round(float(held[i]), 3) for k, i in at.items()}
-        result[name] = shares | {"all steps": round(float(held.mean()), 3)}
+    for name, of_one in zip(("position", "pose"), held, strict=True):
+        shares = {k: round(float(of_one[i]), 3) for k, i in at.items()}
+        result[name] = shares | {"all steps": round(float(of_one.mean()), 3)}
     return result
 
 
