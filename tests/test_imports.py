@@ -50,9 +50,10 @@ _READ = {"data.trajectories", "data.images", "data.index", "data.intrinsics", "d
 ALLOWED["data.sequences"] = BASE | _READ
 ALLOWED["data.colour_rig"] = BASE | {"data.intrinsics", "envs"}
 ALLOWED["data.dynamics"] = BASE | {"data.trajectories", "data.sequences"}
-ALLOWED["data.handheld"] = BASE | {"envs"}
+ALLOWED["data.handheld"] = ALLOWED["data.wandering"] = BASE | {"envs"}
 ALLOWED["data.recording"] = BASE | {
     "data.handheld",
+    "data.wandering",
     "data.sequences",
     "data.colour_rig",
     "data.intrinsics",

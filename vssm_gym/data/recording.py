@@ -41,7 +41,7 @@ from vssm_gym.progress import OnProgress
 
 PROVENANCE = "recording.json"  # beside TUM's files: scene and settings of the drive
 COLOURS = ("registered", "unregistered")
-LONGEST = 3600.0  # s of a drive by drawn commands
+LONGEST_DRIVE = 3600.0  # s of a drive by drawn commands
 WAYPOINT_REACHED = 0.06  # m from a waypoint at which it counts as reached; about the noise of a step
 
 
@@ -122,8 +122,8 @@ def record_wandering(
     """
     check_new_folder(out)
     choose("record", "robot", robot, HOLONOMIC_ROBOTS)
-    if not 1.0 <= seconds <= LONGEST:
-        raise InputError("record", "seconds", f"a duration between 1 and {LONGEST:g} s, not {seconds}")
+    if not 1.0 <= seconds <= LONGEST_DRIVE:
+        raise InputError("record", "seconds", f"a duration between 1 and {LONGEST_DRIVE:g} s, not {seconds}")
     env = PointNavEnv(
         scene=str(scene), robot=robot, noise=noise, sensor_noise=sensor_noise, camera=camera, reward="sparse"
     )
