@@ -13,7 +13,7 @@ from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.errors import InputError
 
 HELD_STEPS = (1, 10)  # steps for which a command is held
-NO_TURN, NO_STEP, STRAIGHT = 0.25, 0.15, 0.3  # shares of commands without a turn, without a step, straight ahead
+NO_TURN, NO_STEP, NO_OFFSET = 0.25, 0.15, 0.3  # shares of commands without a turn, without a step, straight ahead
 MARGINS = (0.15, 0.1, 0.05, 0.02)  # m beyond the robot's side, tried in this order: room for a drive that lags
 LOOK_AHEAD = 4  # steps at the commanded length that must be free
 
@@ -56,7 +56,7 @@ class Wanderer:
         return np.array(
             [
                 0.0 if rng.random() < NO_TURN else rng.uniform(-turn, turn),
-                0.0 if rng.random() < STRAIGHT else rng.uniform(-direction, direction),
+                0.0 if rng.random() < NO_OFFSET else rng.uniform(-direction, direction),
                 0.0 if rng.random() < NO_STEP else rng.uniform(0.0, step),
             ]
         )
