@@ -20,7 +20,7 @@ from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.posterior import Posterior
-from vssm_gym.model.transition import RIGID
+from vssm_gym.model.transition import RIGID, MotionNoise, Planar
 
 CONFIG = OnlineConfig(smoothing=SmoothingConfig(elements=1500, gates=(0.1, 0.05)), free=4, held=3, spacing=0.05)
 SMOOTHER = OnlineSmoother(Rig.of(CAMERA), HAND, CONFIG)
@@ -33,11 +33,13 @@ def prior() -> Posterior:
     return Posterior(start, VoxelMap.cube((0.0, 0.0, 0.0), 6.0, 0.1))
 
 
-def followed(images: dict[int, RGBD] | None = None, smoother: OnlineSmoother = SMOOTHER, seed: int = 0):
+def followed(
+    images: dict[int, RGBD] | None = None, smoother: OnlineSmoother = SMOOTHER, seed: int = 0, frames: int = FRAMES
+):
     """Return state, report and observed cells after each image of the path; ``images`` replaces some."""
     state = smoother.init(prior(), image(0), jax.random.key(seed))
     every = []
-    for k in range(1, FRAMES):
+    for k in range(1, frames):
         state, info = smoother.step(state, jnp.zeros(6), (images or {}).get(k, image(k)), DT)
         observed = int((np.asarray(state.map.occupancy_precision) > OBSERVED_PRECISION).sum())
         every.append((state, info, observed))  # the next step consumes the state's map
@@ -79,8 +81,16 @@ def test_its_errors_are_within_what_it_states(run):
         assert np.linalg.eigvalsh(covariance).min() > 0.0
         xi = error(info, k)
         assert xi @ np.linalg.solve(covariance[:6, :6], xi) / 6.0 < 5.0
-    std = [float(np.sqrt(np.trace(info.belief.covariance[:3, :3]))) for _, info, _ in run]
-    assert std[-1] > 3.0 * std[0]  # each window inherits the errors of the one before
+
+
+def test_what_the_start_does_not_know_stays_unknown():
+    """All images together do not tell where the first one was taken."""
+    unsure = replace(prior().belief, covariance=prior().belief.covariance.at[:3, :3].set(0.01 * jnp.eye(3)))
+    state = SMOOTHER.init(replace(prior(), belief=unsure), image(0), jax.random.key(0))
+    for k in range(1, 2 * CONFIG.free + 1):
+        state, info = SMOOTHER.step(state, jnp.zeros(6), image(k), DT)
+        std = float(np.sqrt(np.trace(info.belief.covariance[:3, :3]) / 3.0))
+        assert 0.09 < std < 0.12
 
 
 def test_an_image_enters_the_map_when_its_step_leaves_the_window(run):
@@ -96,6 +106,20 @@ def test_a_dark_image_is_skipped_and_the_next_one_is_found():
     std = [float(np.sqrt(np.trace(info.belief.covariance[:3, :3]))) for _, info, _ in every]
     assert std[5] > 2.0 * std[3] and std[6] < 0.5 * std[5]
     assert np.abs(error(every[-1][1], FRAMES - 1)).max() < 0.006
+
+
+def test_a_blackout_longer_than_the_window_leaves_no_doubt_behind():
+    """While it lasts, the covariance is that of the transition alone; afterwards earlier images hold the window."""
+    dark = range(4, 4 + CONFIG.free + 2)
+    every = followed(dict.fromkeys(dark, DARK), frames=dark.stop + 4)
+    std = lambda k: float(np.sqrt(np.trace(every[k - 1][1].belief.covariance[:3, :3])))
+    alone = every[dark.start - 2][0].belief
+    for _ in dark:
+        alone = HAND.predict(alone, jnp.zeros(6), jnp.float32(DT))
+    assert std(dark.stop - 1) == pytest.approx(float(np.sqrt(np.trace(alone.covariance[:3, :3]))), rel=0.1)
+    assert every[dark.stop - 1][1].status is Status.OK
+    assert std(dark.stop + 3) < 3.0 * std(dark.start - 1)
+    assert np.abs(error(every[-1][1], dark.stop + 3)).max() < 0.006
 
 
 @pytest.mark.parametrize("other", ["a near wall", "the other end of the room"])
@@ -119,6 +143,11 @@ def test_the_same_key_gives_the_same_poses(run):
 def test_earlier_images_are_thinned_beyond_their_most():
     few = replace(SMOOTHER, config=replace(CONFIG, most_kept=2, spacing=0.01))
     assert len(followed(smoother=few)[-1][0].earlier) <= 2
+
+
+def test_only_a_rigid_body_is_taken():
+    with pytest.raises(InputError, match="rigid body"):
+        OnlineSmoother(Rig.of(CAMERA), Planar(MotionNoise(0.1, 0.1)))
 
 
 def test_bad_input_is_named():

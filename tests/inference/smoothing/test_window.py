@@ -12,7 +12,7 @@ from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.prism.config import HAND
 from vssm_gym.inference.smoothing.gauss_newton import SmoothingConfig
-from vssm_gym.inference.smoothing.window import Smoothed, Step, smooth_window, view_of, without_image
+from vssm_gym.inference.smoothing.window import SmoothedWindow, Step, smooth_window, view_of, without_image
 from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.model.transition import RIGID
 from vssm_gym.model.transition.manifold import RigidState
@@ -29,7 +29,7 @@ def state(k: int, shift: np.ndarray) -> RigidState:
     return RigidState(moved, true.velocity)
 
 
-def smoothed(shift: np.ndarray, earlier: list[int], blank: int | None = None, std: float = 0.05) -> Smoothed:
+def smoothed(shift: np.ndarray, earlier: list[int], blank: int | None = None, std: float = 0.05) -> SmoothedWindow:
     """Smooth four images whose poses are all off alike, against earlier images at their true poses."""
     views = [without_image(CAMERA) if k == blank else view_of(image(FIRST + k), CAMERA, ALIGN) for k in range(FREE)]
     steps = [Step(state(FIRST + k, shift), view, jnp.zeros(6), DT) for k, view in enumerate(views)]
@@ -39,7 +39,7 @@ def smoothed(shift: np.ndarray, earlier: list[int], blank: int | None = None, st
     return smooth_window(rng, steps, FREE, known, HELD, Rig.of(CAMERA), HAND, start, CONFIG)
 
 
-def off(found: Smoothed) -> np.ndarray:
+def off(found: SmoothedWindow) -> np.ndarray:
     """Return the largest errors of a pose, m and rad."""
     T = [np.linalg.inv(true_pose(FIRST + k)) @ np.asarray(s.T_world_body, float) for k, s in enumerate(found.states)]
     xi = np.abs(np.asarray(se3_log(jnp.asarray(np.stack(T), jnp.float32))))
@@ -64,6 +64,7 @@ def test_a_step_without_an_image_lies_between_its_neighbours():
     assert std[2] > 2.0 * std[1]
 
 
-def test_the_newest_image_states_what_it_shares():
+def test_images_state_what_they_share():
+    assert min(smoothed(np.zeros(6), [0, 2, 4]).held_shares) > 0.3
     assert smoothed(np.zeros(6), [0, 2, 4]).shared > 0.5
     assert smoothed(np.zeros(6), [0, 2, 4], blank=FREE - 1).shared == 0.0

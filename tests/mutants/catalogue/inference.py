@@ -368,9 +368,9 @@ INFERENCE = (
     Mutant(
         "window-whose-drift-is-forgotten",
         "vssm_gym/inference/smoothing/online.py",
-        "        wider[:p, :p] += carried @ drift @ carried.T",
-        "        wider[:p, :p] += 0.0 * carried",
-        (f"{OF_SMOOTHING}/test_online.py::test_its_errors_are_within_what_it_states",),
+        "    wider[:POSE, :POSE] += _carried(state, frame)",
+        "    wider[:POSE, :POSE] += 0.0 * _carried(state, frame)",
+        (f"{OF_SMOOTHING}/test_online.py::test_what_the_start_does_not_know_stays_unknown",),
     ),
     Mutant(
         "image-of-another-place-accepted",

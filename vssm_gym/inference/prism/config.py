@@ -1,6 +1,7 @@
 """Configure :mod:`~vssm_gym.inference.prism.filter`, and define the motion model of a hand-held camera."""
 
 from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
 
 from vssm_gym.errors import InputError
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig
@@ -9,6 +10,23 @@ from vssm_gym.inference.tracking.recovery import RecoveryConfig
 from vssm_gym.model.transition.rigid import Rigid, RigidNoise
 
 HAND = Rigid(RigidNoise(0.15, 0.01, 0.3, 0.01))  # constant velocity with a hand's accelerations; PRISM's: ``Rigid()``
+
+
+@runtime_checkable
+class SensorErrors(Protocol):
+    """State standard deviations of errors that all images share."""
+
+    @property
+    def stamp_std(self) -> float:
+        """Return that of an image's time stamp, s."""
+
+    @property
+    def calibration_std(self) -> float:
+        """Return that of the pose by intrinsics and mounting, m and rad."""
+
+    @property
+    def scale_std(self) -> float:
+        """Return that of the depth's scale, as a proportion."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from vssm_gym.inference.alignment.residuals import luminance
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.mapping import map_update, rolling_window
 from vssm_gym.inference.prism import drift
-from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig
+from vssm_gym.inference.prism.config import HAND, HAND_HELD, PrismConfig, SensorErrors
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import keyframes, standing_views, visual_turn
 from vssm_gym.inference.tracking.camera_filter import Past, TrackingInput, begin, camera_pose, expected_pose
@@ -303,7 +303,7 @@ def _in_world(past: Past, start: Float[Array, "3"], transition: Transition, conf
 
 
 def with_sensor_errors(
-    belief: GaussianBelief, start: Float[Array, "3"], transition: Transition, config: PrismConfig
+    belief: GaussianBelief, start: Float[Array, "3"], transition: Transition, config: SensorErrors
 ) -> GaussianBelief:
     """``Sigma + v v^T + s_c^2 1 + s_d^2 l l^T``: a belief with the errors of stamps, calibration and scale (eq. I24).
 

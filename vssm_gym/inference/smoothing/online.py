@@ -8,8 +8,9 @@ in the whole trajectory by smoothing all steps at the end. An image enters the m
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +24,8 @@ from vssm_gym.inference.alignment.residuals import AlignInfo
 from vssm_gym.inference.filter import Clock, FilterInfo, Rig, untimed
 from vssm_gym.inference.mapping import map_update, rolling_window
 from vssm_gym.inference.mapping.map_update import MapUpdateConfig
+from vssm_gym.inference.prism.config import PrismConfig
+from vssm_gym.inference.prism.filter import with_sensor_errors
 from vssm_gym.inference.smoothing.gauss_newton import SmoothingConfig
 from vssm_gym.inference.smoothing.window import Step, View, smooth_window, view_of, without_image
 from vssm_gym.inference.status import Status
@@ -36,10 +39,11 @@ from vssm_gym.model.map_samples import MeasurementNoise
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
-from vssm_gym.model.transition.manifold import Manifold
+from vssm_gym.model.transition.manifold import RIGID, RigidState
 
 SAME_VIEW_TURN = 0.5  # rad by which a view differs from another as much as by a metre
 WINDOW_GATES = (0.1, 0.05, 0.05)  # m, of the iterations
+POSE = 6  # coordinates of a pose, the first ones of a state
 HELD_STD = 1e-3  # m, rad: std of the first pose of the window, which the step before has left to it
 
 
@@ -58,6 +62,9 @@ class OnlineConfig:
         most_kept: earlier images; beyond it every second one is forgotten.
         track_width: pixels to which images are shrunk, about.
         window_margin: share of the map's edge, as of PRISM.
+        stamp_std: s, of the errors of time stamps, as of PRISM; so are the other two.
+        calibration_std: m and rad, of the pose by intrinsics and mounting.
+        scale_std: of the depth's scale.
     """
 
     smoothing: SmoothingConfig = field(default_factory=lambda: SmoothingConfig(elements=3000, gates=WINDOW_GATES))
@@ -69,7 +76,14 @@ class OnlineConfig:
     least_shared: float = 0.1
     most_kept: int = 600
     track_width: int | None = 160
-    window_margin: float | None = 0.25
+    window_margin: float | None = PrismConfig.window_margin
+    stamp_std: float = PrismConfig.stamp_std
+    calibration_std: float = PrismConfig.calibration_std
+    scale_std: float = PrismConfig.scale_std
+
+    def __post_init__(self) -> None:
+        if self.free < 2:
+            raise InputError("OnlineConfig", "free", f"two steps or more, not {self.free}")
 
 
 class Placed(NamedTuple):
@@ -77,7 +91,7 @@ class Placed(NamedTuple):
 
     step: Step
     image: RGBD | None  # at the camera's size, for the map; None: not accepted
-    covariance: Float[np.ndarray, "n n"]  # of the state, about the world
+    covariance: Float[np.ndarray, "n n"]  # of the state, in the world
 
 
 class Earlier(NamedTuple):
@@ -85,23 +99,31 @@ class Earlier(NamedTuple):
 
     view: View
     T_world_cam: Float[np.ndarray, "4 4"]
+    frame: "Frame"  # of its own pose
 
 
-@dataclass(frozen=True)
-class OnlineState:
+class Frame(NamedTuple):
+    """Hold a pose whose own error moves alike all that is known relative to it."""
+
+    T_world_body: Float[np.ndarray, "4 4"]
+    covariance: Float[np.ndarray, "p p"]  # of the pose, in the world
+
+
+class OnlineState(eqx.Module):
     """Hold what the next step needs."""
 
     map: VoxelMap
     window: tuple[Placed, ...]  # the oldest first
-    before: GaussianBelief  # over the state of the oldest, in the window's frame
-    drift: Float[np.ndarray, "p p"]  # of that frame in the world: the covariance of the oldest pose there
+    before: GaussianBelief  # over the state of the oldest, relative to ``frame``
+    frame: Frame  # where the window began
+    accepted: Frame  # of the last accepted image
     earlier: tuple[Earlier, ...]
     belief: GaussianBelief  # over the newest state, as seen from the last accepted image
     last: ReferenceView  # the last accepted image, at tracking size
+    start: Float[Array, "3"]  # m, of the body at the first image
     lost: bool  # the last image was not accepted
     key: PRNGKeyArray
     measurement_noise: MeasurementNoise
-    cost: float  # mean residual of the window, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -117,6 +139,11 @@ class OnlineSmoother:
     rig: Rig
     transition: Transition
     config: OnlineConfig = OnlineConfig()
+
+    def __post_init__(self) -> None:
+        if self.transition.manifold is not RIGID:
+            found = type(self.transition).__name__
+            raise InputError("OnlineSmoother", "transition", f"one of a rigid body in space; found {found}")
 
     def init(self, prior: Posterior, image: RGBD, key: PRNGKeyArray) -> OnlineState:
         """Return the state after the first image, taken where the prior has the body; the map is consumed.
@@ -134,11 +161,10 @@ class OnlineSmoother:
         view = view_of(small, rig.camera, self.config.smoothing.align)
         step = Step(belief.mean, view, jnp.zeros(self.transition.controls), 0.0)
         first = Placed(step, image, np.asarray(belief.covariance, np.float64))
-        drift, known = np.zeros((self._poses, self._poses)), self._seen_from_itself(first)
-        last = reference_view.of_image(camera_pose(belief, rig), small)
-        return OnlineState(
-            prior.map, (first,), belief, drift, (), known, last, False, key, prior.measurement_noise, 0.0
-        )
+        last, known = reference_view.of_image(camera_pose(belief, rig), small), _seen_from_itself(first)
+        world = Frame(np.eye(4), np.zeros((POSE, POSE)))
+        noise, start = prior.measurement_noise, RIGID.pose(belief.mean)[:3, 3]
+        return OnlineState(prior.map, (first,), belief, world, _frame(first), (), known, last, start, False, key, noise)
 
     def step(
         self, state: OnlineState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -158,29 +184,29 @@ class OnlineSmoother:
         h, control, config = seconds(dt), checked(self.transition, control), self.config
         small, rig = shrunk(image, self.rig, config.track_width)
         key, drawing = jax.random.split(state.key)
-        state, dropped = self._moved_on(replace(state, key=key))
-        found, predicted, quality = clock(
+        state, dropped = self._moved_on(replace(state, key=key), clock)
+        aligned = clock(
             "track", _aligned(state.belief, self.transition, control, h, state.last, small, rig, config.tracking)
         )
-        last = state.window[-1]
-        unseen = replace(
-            state,
-            window=(*state.window, self._placed(predicted, without_image(rig.camera), None, control, dt, last)),
-            belief=predicted,
-            lost=True,
-        )
+        predicted, quality = aligned.predicted, aligned.quality
+        # Relative to the last accepted pose, whose own error comes on top
+        covariance = _in_world(predicted.mean, np.asarray(predicted.covariance), state.accepted)
+        step = Step(predicted.mean, without_image(rig.camera), control, dt)
+        unseen = replace(state, window=(*state.window, Placed(step, None, covariance)), belief=predicted, lost=True)
         status = Status.LOST if readable(small, config.tracking) else Status.NO_READING
         view = view_of(small, rig.camera, config.smoothing.align)
         fits = float(quality.inlier_share) >= config.tracking.min_score
         if status is Status.NO_READING or not fits or not len(view.pixels):
-            return unseen, FilterInfo(status, _newest(unseen), quality, dropped)
-        newest = self._placed(found, view, image, control, dt, last)
+            return unseen, FilterInfo(status, self._in_report(unseen), quality, dropped)
+        newest = Placed(step._replace(state=aligned.mean, view=view), image, covariance)
         seen, share = clock("smooth", self._smoothed(replace(state, window=(*state.window, newest)), rig, drawing))
         if share < config.least_shared:
-            return unseen, FilterInfo(status, _newest(unseen), quality, dropped)
-        known = self._seen_from_itself(seen.window[-1])
-        state = replace(seen, belief=known, last=reference_view.of_image(camera_pose(known, rig), small), lost=False)
-        return state, FilterInfo(Status.OK, _newest(state), quality, dropped)
+            return unseen, FilterInfo(status, self._in_report(unseen), quality, dropped)
+        newest = seen.window[-1]
+        known = _seen_from_itself(newest)
+        last = reference_view.of_image(camera_pose(known, rig), small)
+        state = replace(seen, belief=known, accepted=_frame(newest), last=last, lost=False)
+        return state, FilterInfo(Status.OK, self._in_report(state), quality, dropped)
 
     def posterior(self, state: OnlineState) -> Posterior:
         """Return ``q(z_t)``, and ``q(M)`` of the images whose steps have left the window.
@@ -190,12 +216,11 @@ class OnlineSmoother:
         """
         return Posterior(_newest(state), state.map, state.measurement_noise)
 
-    @property
-    def _poses(self) -> int:
-        """Return the number of a pose's coordinates."""
-        return self.transition.manifold.twists.shape[1]
+    def _in_report(self, state: OnlineState) -> GaussianBelief:
+        """Return the belief over the newest state with the errors that all images share."""
+        return _reported(_newest(state), state.start, self.transition, self.config)
 
-    def _moved_on(self, state: OnlineState) -> tuple[OnlineState, int]:
+    def _moved_on(self, state: OnlineState, clock: Clock) -> tuple[OnlineState, int]:
         """Make room for one more step: the oldest enters the map, and stays as an earlier image where it is new.
 
         Returns:
@@ -204,34 +229,26 @@ class OnlineSmoother:
         if len(state.window) < self.config.free:
             return state, 0
         (oldest, second, *_), config, dropped = state.window, self.config, 0
-        m, T = state.map, _camera(self.transition.manifold, oldest.step.state, self.rig.T_body_cam)
+        m, T = state.map, camera_pose(_seen_from_itself(oldest), self.rig)
         if oldest.image is not None:
             m, dropped = rolling_window.followed(m, T[:3, 3], config.window_margin)
-            m = map_update.update(m, oldest.image.depth, oldest.image.rgb, T, self.rig.camera, config.update)
-        earlier, now = state.earlier, Earlier(oldest.step.view, np.asarray(T, np.float64))
+            updated = map_update.update(m, oldest.image.depth, oldest.image.rgb, T, self.rig.camera, config.update)
+            m = clock("map", updated)
+        earlier, now = state.earlier, Earlier(oldest.step.view, np.asarray(T, np.float64), _frame(oldest))
         if len(now.view.pixels) and (not earlier or _apart(now, earlier[-1].T_world_cam) > config.spacing):
             earlier = (*earlier, now) if len(earlier) < config.most_kept else (*earlier[::2], now)
-        p, covariance = self._poses, second.covariance.copy()
-        drift = covariance[:p, :p].copy()
-        covariance[:p], covariance[:, :p] = 0.0, 0.0
-        covariance[:p, :p] = HELD_STD**2 * np.eye(p)
-        before = replace(state.before, mean=second.step.state, covariance=jnp.asarray(covariance, jnp.float32))
-        return replace(state, map=m, window=state.window[1:], before=before, drift=drift, earlier=earlier), dropped
-
-    def _placed(
-        self, belief: GaussianBelief, view: View, image: RGBD | None, control: Array, dt: float, last: Placed
-    ) -> Placed:
-        """Return a new step, whose belief does not count how the last step's pose errs in the world."""
-        p = self._poses
-        covariance = self._in_world(
-            belief.mean, np.asarray(belief.covariance), last.step.state, last.covariance[:p, :p]
-        )
-        return Placed(Step(belief.mean, view, control, dt), image, covariance)
+        before, frame = _seen_from_itself(second), _frame(second)
+        if second.image is not None:
+            held = before.covariance.at[:POSE, :POSE].set(HELD_STD**2 * jnp.eye(POSE))
+        else:  # nothing has shown where it is
+            held, frame = jnp.asarray(second.covariance, jnp.float32), Frame(np.eye(4), np.zeros((POSE, POSE)))
+        before = replace(before, covariance=held)
+        return replace(state, map=m, window=state.window[1:], before=before, frame=frame, earlier=earlier), dropped
 
     def _smoothed(self, state: OnlineState, rig: Rig, key: PRNGKeyArray) -> tuple[OnlineState, float]:
         """Return the state with the window smoothed, and the share of the drawn elements that its newest image sees."""
-        config, newest = self.config, state.window[-1].step.state
-        T = np.asarray(_camera(self.transition.manifold, newest, rig.T_body_cam), np.float64)
+        config = self.config
+        T = np.asarray(camera_pose(_seen_from_itself(state.window[-1]), rig), np.float64)
         near = sorted(state.earlier, key=lambda one: _apart(one, T))[: config.held]
         found = smooth_window(
             np.random.default_rng(np.asarray(jax.random.key_data(key))),
@@ -244,30 +261,40 @@ class OnlineSmoother:
             state.before,
             config.smoothing,
         )
+        # The window errs as the frame that it began in, or as an earlier image that holds it, if that errs less.
+        holding = [one.frame for one, share in zip(near, found.held_shares, strict=True) if share > config.least_shared]
+        frame = min([state.frame, *holding], key=lambda frame: np.trace(_carried(found.states[-1], frame)))
         window = tuple(
-            placed._replace(
-                step=placed.step._replace(state=mean),
-                covariance=self._in_world(mean, covariance, found.states[0], state.drift),
-            )
+            placed._replace(step=placed.step._replace(state=mean), covariance=_in_world(mean, covariance, frame))
             for placed, mean, covariance in zip(state.window, found.states, found.covariance, strict=True)
         )
-        return replace(state, window=window, cost=found.cost), found.shared
+        return replace(state, window=window), found.shared
 
-    def _in_world(self, mean: Any, covariance: np.ndarray, origin: Any, drift: np.ndarray) -> np.ndarray:
-        """Return the covariance of a state about an origin whose own pose errs by ``drift``, which moves both alike."""
-        p, manifold = self._poses, self.transition.manifold
-        twists = np.asarray(manifold.twists, np.float64)
-        between = inverse(np.asarray(manifold.pose(mean), np.float64)) @ np.asarray(manifold.pose(origin))
-        carried = np.linalg.pinv(twists) @ np.asarray(se3_adjoint(jnp.asarray(between, jnp.float32))) @ twists
-        wider = np.array(covariance, np.float64)
-        wider[:p, :p] += carried @ drift @ carried.T
-        return wider
 
-    def _seen_from_itself(self, placed: Placed) -> GaussianBelief:
-        """Return the belief of one who knows the pose at an image, and the rest of the state as well as it is known."""
-        p, covariance = self._poses, placed.covariance.copy()
-        covariance[:p], covariance[:, :p] = 0.0, 0.0
-        return GaussianBelief(placed.step.state, jnp.asarray(covariance, jnp.float32), self.transition.manifold)
+def _frame(placed: Placed) -> Frame:
+    """Return the pose of a step, with its covariance."""
+    return Frame(np.asarray(placed.step.state.T_world_body, np.float64), placed.covariance[:POSE, :POSE])
+
+
+def _carried(state: RigidState, frame: Frame) -> Float[np.ndarray, "p p"]:
+    """Return the covariance of the pose of a state that moves with a frame: ``Ad Sigma Ad^T``."""
+    between = inverse(np.asarray(state.T_world_body, np.float64)) @ frame.T_world_body
+    adjoint = np.asarray(se3_adjoint(jnp.asarray(between, jnp.float32)), np.float64)
+    return adjoint @ frame.covariance @ adjoint.T
+
+
+def _in_world(state: RigidState, covariance: np.ndarray, frame: Frame) -> np.ndarray:
+    """Return the covariance in the world of a state that is known relative to a frame."""
+    wider = np.array(covariance, np.float64)
+    wider[:POSE, :POSE] += _carried(state, frame)
+    return wider
+
+
+def _seen_from_itself(placed: Placed) -> GaussianBelief:
+    """Return the belief of one who knows the pose of a step, and the rest of its state as well as it is known."""
+    covariance = placed.covariance.copy()
+    covariance[:POSE], covariance[:, :POSE] = 0.0, 0.0
+    return GaussianBelief(placed.step.state, jnp.asarray(covariance, jnp.float32), RIGID)
 
 
 def _newest(state: OnlineState) -> GaussianBelief:
@@ -282,6 +309,14 @@ def _apart(one: Earlier, T_world_cam: Float[np.ndarray, "4 4"]) -> float:
     return float(np.linalg.norm(one.T_world_cam[:3, 3] - T_world_cam[:3, 3]) + angle / SAME_VIEW_TURN)
 
 
+class _Aligned(NamedTuple):
+    """Hold an image that was aligned to the last accepted one."""
+
+    mean: RigidState  # of the state
+    predicted: GaussianBelief  # before the image was seen
+    quality: AlignInfo
+
+
 @partial(jax.jit, static_argnums=7)
 def _aligned(
     belief: GaussianBelief,
@@ -292,26 +327,19 @@ def _aligned(
     image: RGBD,
     rig: Rig,
     config: TrackingConfig,
-) -> tuple[GaussianBelief, GaussianBelief, AlignInfo]:
-    """Return the belief after the image is aligned to the last accepted one, and as predicted; and the fit's quality.
-
-    Only the mean of the former is that of a posterior: what the window does not know stays as uncertain as predicted.
-    """
-    manifold = transition.manifold
+) -> _Aligned:
+    """Align an image to the last accepted one; the rest of the state follows the pose as predicted."""
     predicted = transition.predict(belief, control, dt)
-    basis = camera_twists(manifold, rig)
-    p = basis.shape[1]
+    basis = camera_twists(RIGID, rig)
     T_prior = inverse(last.T_world_cam) @ camera_pose(predicted, rig)
     begun = start_poses.first(T_prior, last, last.T_world_cam, last.image, image, rig.camera, config)
-    precision = jnp.linalg.inv(predicted.covariance[:p, :p])
+    precision = jnp.linalg.inv(predicted.covariance[:POSE, :POSE])
     T, quality = gauss_newton.align(
         T_prior, precision, begun.poses[0], basis, last.image, begun.image, rig.camera, config.align
     )
     moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
-    mean = manifold.perturb(predicted.mean, predicted.covariance[:, :p] @ precision @ moved)
-    return replace(predicted, mean=mean), predicted, quality
+    mean = RIGID.perturb(predicted.mean, predicted.covariance[:, :POSE] @ precision @ moved)
+    return _Aligned(mean, predicted, quality)
 
 
-@partial(jax.jit, static_argnums=0)
-def _camera(manifold: Manifold, state: Any, T_body_cam: Array) -> Float[Array, "4 4"]:
-    return manifold.pose(state) @ T_body_cam
+_reported = jax.jit(with_sensor_errors, static_argnums=3)

@@ -45,13 +45,13 @@ class Step(NamedTuple):
     dt: float  # s since then
 
 
-class Smoothed(NamedTuple):
+class SmoothedWindow(NamedTuple):
     """Hold the window after an iteration or more."""
 
     states: list[Any]
     covariance: Float[np.ndarray, "time n n"]  # where the earlier images stay and the first state has its prior
-    cost: float  # mean residual in standard deviations, before the last iteration
     shared: float  # share of the drawn elements that the newest image sees, and another one
+    held_shares: list[float]  # the same of each earlier image
 
 
 def view_of(image: RGBD, camera: Camera, align: AlignConfig) -> View:
@@ -82,7 +82,7 @@ def smooth_window(
     transition: Transition,
     start: GaussianBelief,
     config: SmoothingConfig,
-) -> Smoothed:
+) -> SmoothedWindow:
     """Find the states of a window by Gauss-Newton, an iteration for each gate.
 
     Args:
@@ -128,10 +128,11 @@ def smooth_window(
         errors[:time, :p] = xi.reshape(time, p)
         errors[:time, p:] = (chain.rest + chain.by_poses @ xi).reshape(time, n - p)
         states = _perturbed(transition, states, jnp.asarray(errors, jnp.float32))
-    shared = float(seen.by_image[time - 1]) / config.elements
+    shares = np.asarray(seen.by_image) / config.elements
     found = [jax.tree.map(lambda leaf, t=t: leaf[t], states) for t in range(time)]
+    held_shares = shares[free : free + len(earlier)].tolist()
     errors = estimate_covariance(H, parts, chain.hessian)
-    return Smoothed(found, covariances(errors, chain, time), float(seen.cost), shared)
+    return SmoothedWindow(found, covariances(errors, chain, time), float(shares[time - 1]), held_shares)
 
 
 def _drawn(rng: np.random.Generator, views: list[View], count: int) -> tuple[np.ndarray, np.ndarray]:
