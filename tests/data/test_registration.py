@@ -10,6 +10,7 @@ import pytest
 
 from tests.helpers.slam_recordings import CAMERA
 from tests.inference.smoothing.colour_room import ROOM, STATED, THETA, TRUE, images, true_pose, write_unregistered
+from vssm_gym.data.distortion import reach
 from vssm_gym.data.intrinsics import ColourCalibration
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.registration import Registration
@@ -55,6 +56,39 @@ def test_a_point_outside_of_the_colour_image_has_no_colour() -> None:
     x, y = (np.arange(80) - CAMERA.cx) / CAMERA.fx, (np.arange(60) - CAMERA.cy) / CAMERA.fy
     expected = (np.abs(y) <= 14.5 / 64.0)[:, None] & (np.abs(x) <= 19.5 / 64.0)
     np.testing.assert_array_equal(known, expected)
+
+
+def test_a_barrel_lens_shows_nothing_twice() -> None:
+    """Beyond the radius at which its distortion turns back, points would appear in the middle again."""
+    barrel = np.array([-0.3, 0.0, 0.0, 0.0, 0.0])
+    assert reach(barrel) == pytest.approx((1.0 / 0.9) ** 0.5)
+    assert reach(np.zeros(5)) == np.inf
+    wide, colour = (
+        Camera.from_hfov(160, 120, np.radians(130.0)),
+        ColourCamera(Camera.from_hfov(160, 120, 1.2), np.eye(4)),
+    )
+    _, _, known = Registration(wide, ColourCalibration(colour, barrel))(np.full((120, 160), 2.0))
+    x, y = (np.arange(160) - wide.cx) / wide.fx, (np.arange(120) - wide.cy) / wide.fy
+    assert known.any() and not known[np.hypot(*np.meshgrid(x, y)) > reach(barrel)].any()
+
+
+@pytest.mark.parametrize("size", [(160, 120), (2000, 12)])
+def test_a_long_lens_is_read(tmp_path: Path, size: tuple[int, int]) -> None:
+    """Averages of blocks never leave less than a few of them."""
+    folder = write_unregistered(tmp_path / "room", 1)
+    meta = json.loads((folder / "camera.json").read_text())
+    meta["colour"] |= {"width": size[0], "height": size[1]}
+    meta["colour"]["K"] = [[30000.0, 0.0, size[0] / 2], [0.0, 30000.0, size[1] / 2], [0.0, 0.0, 1.0]]
+    (folder / "camera.json").write_text(json.dumps(meta))
+    for path in (folder / "rgb").iterdir():
+        iio.imwrite(path, np.full((size[1], size[0], 3), 90, np.uint8))
+    rgb, _ = FrameReader(load_sequence(folder), (80, 60))[0]
+    assert (rgb == 90).all()
+
+
+def test_intrinsics_do_not_replace_two_calibrations(folder: Path) -> None:
+    with pytest.raises(InputError, match="both cameras"):
+        load_sequence(folder, (60.0, 60.0, 39.5, 29.5))
 
 
 def test_a_covered_point_has_no_colour() -> None:

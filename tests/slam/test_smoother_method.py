@@ -25,17 +25,21 @@ def test_a_recording_is_smoothed_from_nothing(tmp_path):
     assert stats["config"]["method"] == "smoother"
     assert [one["index"] for one in stats["lost"]] == [4]  # an image of another place
     assert stats["refinement"]["frames"] == FRAMES - 1
-    assert stats["latency_ms"].keys() >= {"track", "smooth"}
+    assert stats["latency_ms"].keys() >= {"track", "smooth", "map"}
+    assert "samples" not in stats["config"]
     _, poses = poses_of(out / "trajectory.txt")
     off = np.linalg.norm(poses[:, :3, 3] - TRUE[:, :3, 3], axis=1)
     assert np.delete(off, 4).max() < 0.006
-    assert "smooth" in (out / "report.html").read_text()
+    assert 'id="refinement"' in (out / "report.html").read_text()
 
 
 def test_options_that_do_not_apply_are_refused(tmp_path):
     options = SlamOptions(method="smoother")
     with pytest.raises(InputError, match="smoothed at the end in any case"):
         replace(options, refine=True)
+    for changed in ({"solver": "adam"}, {"samples": 3}, {"learn_camera": True}):
+        with pytest.raises(InputError, match=next(iter(changed)).replace("_", "-")):
+            replace(options, **changed)
     with pytest.raises(InputError, match="map"):
         replace(options, map=tmp_path / "map.npz")
     with pytest.raises(InputError, match="start"):

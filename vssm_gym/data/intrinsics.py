@@ -96,6 +96,9 @@ def read_calibration(
         InputError: no calibration, a malformed one, or one of images of another size.
     """
     path = root / "camera.json"
+    if given is not None and path.is_file() and "colour" in read_json(path):
+        expected = "none for a folder whose camera.json has the field colour: it calibrates both cameras"
+        raise InputError(path, "intrinsics", expected)
     calibration = _from_json(path) if given is None and path.is_file() else None
     if calibration is not None and calibration.colour is not None:
         stated = (calibration.colour.view.camera.width, calibration.colour.view.camera.height)

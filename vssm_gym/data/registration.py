@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt
 
-from vssm_gym.data.distortion import distort
+from vssm_gym.data.distortion import distort, reach
 from vssm_gym.data.intrinsics import ColourCalibration
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import inverse, transform
@@ -32,6 +32,7 @@ class Registration:
         self._rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
         self._colour = colour
         self._T_colour_depth = inverse(np.asarray(colour.view.T_depth_colour, np.float64))
+        self._reach = reach(colour.distortion)
         self._cell = COLOUR_CELL * max(1.0, colour.view.camera.K[0, 0] / camera.K[0, 0])  # pixels of the colour image
 
     def __call__(
@@ -48,9 +49,13 @@ class Registration:
         i, j = distance_transform_edt(~read, return_distances=False, return_indices=True)
         q = transform(self._T_colour_depth, self._rays * np.asarray(depth, np.float64)[i, j][..., None])
         z = np.maximum(q[..., 2], NEAREST_SEEN)
-        x, y = distort(q[..., 0] / z, q[..., 1] / z, self._colour.distortion)
+        x, y = q[..., 0] / z, q[..., 1] / z
+        seen = x**2 + y**2 < self._reach**2  # beyond it, the lens model turns back towards the middle
+        x, y = distort(x, y, self._colour.distortion)
         u, v = x * camera.fx + camera.cx, y * camera.fy + camera.cy
-        inside = (q[..., 2] > NEAREST_SEEN) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+        inside = (
+            seen & (q[..., 2] > NEAREST_SEEN) & (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+        )
         u, v = np.clip(u, 0.0, camera.width - 1.0), np.clip(v, 0.0, camera.height - 1.0)
         columns = int(camera.width / self._cell) + 1
         cell = (v / self._cell).astype(int) * columns + (u / self._cell).astype(int)

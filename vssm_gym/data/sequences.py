@@ -26,6 +26,7 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.colour_camera import ColourCamera
 
 LARGEST_GAP = 0.5  # s from a frame to the poses before and after it that give its own; TUM's fr1_xyz has 0.11 s
+FEWEST_BLOCKS = 4  # of pixels that a colour image is averaged over, across and down
 TRIED = 10  # first frames, of which one must be readable
 
 
@@ -101,7 +102,8 @@ class FrameReader:
         if (colour := sequence.colour) is not None:
             recorded = colour.view.camera
             self._registration = Registration(self.camera, colour)
-            self._block = max(1, int(recorded.K[0, 0] / self.camera.K[0, 0]))
+            smaller = int(recorded.K[0, 0] / self.camera.K[0, 0])
+            self._block = max(1, min(smaller, recorded.width // FEWEST_BLOCKS, recorded.height // FEWEST_BLOCKS))
             across = min(width, recorded.width)
             self._shrunk = recorded.width // across
             self.colour = colour.view.resized(across, max(1, round(recorded.height * across / recorded.width)))

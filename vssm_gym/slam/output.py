@@ -243,7 +243,7 @@ def summarise(
 
 def _config(options: SlamOptions) -> dict[str, Any]:
     """Return the options as JSON, without those that the method does not use."""
-    unused = {"voxel", "extent", "samples"} if options.method == "tracker" else set[str]()
+    unused = {"tracker": {"voxel", "extent", "samples"}, "smoother": {"samples"}}.get(options.method, set())
     shown = asdict(options) | {"size": "x".join(map(str, options.size)), "map": options.map and options.map.name}
     shown["transition"] = options.transition and options.transition.name
     return {name: value for name, value in shown.items() if value is not None and name not in unused}

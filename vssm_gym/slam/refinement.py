@@ -7,17 +7,19 @@ frames; those between two of them move with both, so that they keep the filter's
 
 import time
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_exp, se3_log
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.mapping import rolling_window
 from vssm_gym.inference.mapping.map_update import update
 from vssm_gym.inference.prism.filter import Prism, with_sensor_errors
+from vssm_gym.inference.prism.imu_control import ImuControl
 from vssm_gym.inference.smoothing.gauss_newton import ColourPrior, Smoothed, SmoothingConfig, smooth
 from vssm_gym.inference.smoothing.views import StackedViews, stack_views
 from vssm_gym.inference.tracking.camera_filter import at_rest
@@ -112,34 +114,33 @@ def smooth_nodes(
     progress: OnProgress,
     colour_prior: ColourPrior | None = None,
 ) -> Smoothed:
-    """Smooth some frames of a run of PRISM.
+    """Smooth some frames of a run.
 
     Args:
-        run: finished.
+        run: finished, of PRISM or of the smoother.
         options: of the run.
         nodes: numbers of the frames, ascending.
         views: their images.
         progress: called after each iteration.
         colour_prior: over the calibration of the views' colour camera, where that is learned.
     """
-    prism = options.filter(run.reader.camera)
+    transition = options.filter(run.reader.camera).transition
     states = RigidState(
         jnp.asarray(run.poses[nodes], jnp.float32),
         jnp.asarray([_velocity(run, int(i)) for i in nodes], jnp.float32),
     )
-    manifold, config = prism.transition.manifold, SmoothingConfig(align=options.tracking.align)
+    manifold, config = transition.manifold, SmoothingConfig(align=options.tracking.align)
     if colour_prior is not None:
         config = replace(config, gates=config.gates + LONGER * config.gates[-1:])
     start = at_rest(manifold, states.T_world_body[0], FIRST_POSE_STD**2 * jnp.eye(6), options.tracking.start_velocity)
-    steps = len(nodes) - 1
     return smooth(
         jax.random.key(options.seed),
         views,
         Rig.of(run.reader.camera),
-        prism.transition,
+        transition,
         start,
         states,
-        jnp.zeros((steps, prism.transition.controls)),
+        _controls(run, options, nodes, transition.controls),
         jnp.asarray(np.diff(run.times[nodes]), jnp.float32),
         config,
         lambda k, cost: progress("smoothing", k + 1, len(config.gates)),
@@ -172,6 +173,19 @@ def carried(
 
 def _image(run: SlamRun, i: int) -> RGBD:
     return RGBD.from_camera(*run.reader[run.frames[i].index])
+
+
+def _controls(
+    run: SlamRun, options: SlamOptions, nodes: Int[np.ndarray, "nodes"], count: int
+) -> Float[Array, "steps controls"]:
+    """Return the controls between frames: from the IMU where it is used, else zeros (constant velocity)."""
+    sequence, steps = run.reader.sequence, list(pairwise(nodes))
+    if not options.imu:
+        return jnp.zeros((len(steps), count))
+    assert sequence.T_body_cam is not None
+    imu = ImuControl(sequence.imu, sequence.T_body_cam, run.frames[nodes[0]].time)
+    between = [imu(run.poses[a], _velocity(run, a)[3:], run.times[a], run.times[b]) for a, b in steps]
+    return jnp.asarray(between, jnp.float32)
 
 
 def _velocity(run: SlamRun, i: int) -> np.ndarray:

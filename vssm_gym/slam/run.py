@@ -114,6 +114,9 @@ class SlamOptions:
                 "extent",
                 f"at most {MAX_SPARSE_CELLS:,} cells, not {self.cells:,}: a smaller extent or larger voxels",
             )
+        if self.method == "smoother" and (self.solver != "gauss_newton" or self.samples != 1):
+            name = "samples" if self.samples != 1 else "solver"
+            raise InputError("slam", name, "the default with method smoother: it is an option of prism and tracker")
         if self.solver not in SOLVERS:
             raise InputError("slam", "solver", one_of(SOLVERS, self.solver))
         if self.method not in METHODS:
@@ -124,8 +127,8 @@ class SlamOptions:
                 "smoother": "all poses are smoothed at the end in any case",
             }
             raise InputError("slam", "refine", f"False with method {self.method}: {whys[self.method]}")
-        if self.learn_camera and self.method == "tracker":
-            raise InputError("slam", "learn-camera", "False with method tracker: the filter runs again on a new map")
+        if self.learn_camera and self.method != "prism":
+            raise InputError("slam", "learn-camera", f"False with method {self.method}: prism runs again and again")
         if (self.method == "tracker") != (self.map is not None):
             raise InputError("slam", "map", "a map file with method tracker, and none with another method")
         if self.map is not None:

@@ -368,8 +368,8 @@ INFERENCE = (
     Mutant(
         "window-whose-drift-is-forgotten",
         "vssm_gym/inference/smoothing/online.py",
-        "    wider[:POSE, :POSE] += _carried(state, frame)",
-        "    wider[:POSE, :POSE] += 0.0 * _carried(state, frame)",
+        "    wider[:OF_POSE, :OF_POSE] += _carried(state, frame)",
+        "    wider[:OF_POSE, :OF_POSE] += 0.0 * _carried(state, frame)",
         (f"{OF_SMOOTHING}/test_online.py::test_what_the_start_does_not_know_stays_unknown",),
     ),
     Mutant(

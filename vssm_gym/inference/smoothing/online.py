@@ -43,7 +43,7 @@ from vssm_gym.model.transition.manifold import RIGID, RigidState
 
 SAME_VIEW_TURN = 0.5  # rad by which a view differs from another as much as by a metre
 WINDOW_GATES = (0.1, 0.05, 0.05)  # m, of the iterations
-POSE = 6  # coordinates of a pose, the first ones of a state
+OF_POSE = 6  # coordinates of a pose, the first ones of a state
 HELD_STD = 1e-3  # m, rad: std of the first pose of the window, which the step before has left to it
 
 
@@ -162,7 +162,7 @@ class OnlineSmoother:
         step = Step(belief.mean, view, jnp.zeros(self.transition.controls), 0.0)
         first = Placed(step, image, np.asarray(belief.covariance, np.float64))
         last, known = reference_view.of_image(camera_pose(belief, rig), small), _seen_from_itself(first)
-        world = Frame(np.eye(4), np.zeros((POSE, POSE)))
+        world = Frame(np.eye(4), np.zeros((OF_POSE, OF_POSE)))
         noise, start = prior.measurement_noise, RIGID.pose(belief.mean)[:3, 3]
         return OnlineState(prior.map, (first,), belief, world, _frame(first), (), known, last, start, False, key, noise)
 
@@ -239,9 +239,9 @@ class OnlineSmoother:
             earlier = (*earlier, now) if len(earlier) < config.most_kept else (*earlier[::2], now)
         before, frame = _seen_from_itself(second), _frame(second)
         if second.image is not None:
-            held = before.covariance.at[:POSE, :POSE].set(HELD_STD**2 * jnp.eye(POSE))
+            held = before.covariance.at[:OF_POSE, :OF_POSE].set(HELD_STD**2 * jnp.eye(OF_POSE))
         else:  # nothing has shown where it is
-            held, frame = jnp.asarray(second.covariance, jnp.float32), Frame(np.eye(4), np.zeros((POSE, POSE)))
+            held, frame = jnp.asarray(second.covariance, jnp.float32), Frame(np.eye(4), np.zeros((OF_POSE, OF_POSE)))
         before = replace(before, covariance=held)
         return replace(state, map=m, window=state.window[1:], before=before, frame=frame, earlier=earlier), dropped
 
@@ -273,7 +273,7 @@ class OnlineSmoother:
 
 def _frame(placed: Placed) -> Frame:
     """Return the pose of a step, with its covariance."""
-    return Frame(np.asarray(placed.step.state.T_world_body, np.float64), placed.covariance[:POSE, :POSE])
+    return Frame(np.asarray(placed.step.state.T_world_body, np.float64), placed.covariance[:OF_POSE, :OF_POSE])
 
 
 def _carried(state: RigidState, frame: Frame) -> Float[np.ndarray, "p p"]:
@@ -286,14 +286,14 @@ def _carried(state: RigidState, frame: Frame) -> Float[np.ndarray, "p p"]:
 def _in_world(state: RigidState, covariance: np.ndarray, frame: Frame) -> np.ndarray:
     """Return the covariance in the world of a state that is known relative to a frame."""
     wider = np.array(covariance, np.float64)
-    wider[:POSE, :POSE] += _carried(state, frame)
+    wider[:OF_POSE, :OF_POSE] += _carried(state, frame)
     return wider
 
 
 def _seen_from_itself(placed: Placed) -> GaussianBelief:
     """Return the belief of one who knows the pose of a step, and the rest of its state as well as it is known."""
     covariance = placed.covariance.copy()
-    covariance[:POSE], covariance[:, :POSE] = 0.0, 0.0
+    covariance[:OF_POSE], covariance[:, :OF_POSE] = 0.0, 0.0
     return GaussianBelief(placed.step.state, jnp.asarray(covariance, jnp.float32), RIGID)
 
 
@@ -333,12 +333,12 @@ def _aligned(
     basis = camera_twists(RIGID, rig)
     T_prior = inverse(last.T_world_cam) @ camera_pose(predicted, rig)
     begun = start_poses.first(T_prior, last, last.T_world_cam, last.image, image, rig.camera, config)
-    precision = jnp.linalg.inv(predicted.covariance[:POSE, :POSE])
+    precision = jnp.linalg.inv(predicted.covariance[:OF_POSE, :OF_POSE])
     T, quality = gauss_newton.align(
         T_prior, precision, begun.poses[0], basis, last.image, begun.image, rig.camera, config.align
     )
     moved = jnp.linalg.pinv(basis) @ se3_log(inverse(T_prior) @ T)
-    mean = RIGID.perturb(predicted.mean, predicted.covariance[:, :POSE] @ precision @ moved)
+    mean = RIGID.perturb(predicted.mean, predicted.covariance[:, :OF_POSE] @ precision @ moved)
     return _Aligned(mean, predicted, quality)
 
 
