@@ -15,7 +15,7 @@ from vssm_gym.errors import InputError
 HELD_STEPS = (1, 10)  # steps for which a command is held
 NO_TURN, NO_STEP, NO_OFFSET = 0.25, 0.15, 0.3  # shares of commands without a turn, without a step, straight ahead
 MARGINS = (0.15, 0.1, 0.05, 0.02)  # m beyond the robot's side, tried in this order: room for a drive that lags
-LOOK_AHEAD = 4  # steps at the commanded length that must be free
+LOOK_AHEAD = 3  # steps of the commanded length that must be free
 
 
 class Wanderer:
@@ -43,12 +43,10 @@ class Wanderer:
         """
         if not self._left:
             self._command, self._left = self._drawn(), int(self._rng.integers(HELD_STEPS[0], HELD_STEPS[1] + 1))
-        self._left -= 1
         if self._is_free(planar, self._command):
+            self._left -= 1
             return self._command
-        turn = np.copysign(self._limits[0], self._command[0])  # the same side until the way is free
-        self._left = max(self._left, 1)
-        return np.array([turn, 0.0, 0.0])
+        return np.array([np.copysign(self._limits[0], self._command[0]), 0.0, 0.0])  # until the way is free
 
     def _drawn(self) -> Float[np.ndarray, "3"]:
         """Draw a command."""
@@ -66,7 +64,7 @@ class Wanderer:
         if not command[2]:
             return True
         angle = planar[2] + command[1]
-        ahead = np.arange(1, LOOK_AHEAD + 1)[:, None] * self._limits[2] * np.array([np.cos(angle), np.sin(angle)])
+        ahead = np.arange(1, LOOK_AHEAD + 1)[:, None] * command[2] * np.array([np.cos(angle), np.sin(angle)])
         return bool(self._space.contains(planar[:2] + ahead).all())
 
 

@@ -113,7 +113,10 @@ def load_transition(path: str | Path) -> TransitionFile:
             raise InputError(path, "kind", f"one of {', '.join(NOMINALS)}")
         if not isinstance(trained, dict):
             raise InputError(path, "trained", "what `vssm-gym train-dynamics` writes there")
-        form = _form(kind, {name: _whole(path, name, header.get(name), most) for name, most in LARGEST.items()})
+        # Shapes alone: a header states sizes that the file need not hold
+        form = eqx.filter_eval_shape(
+            _form, kind, {name: _whole(path, name, header.get(name), most) for name, most in LARGEST.items()}
+        )
         wanted = _arrays(form)
         if stored.shapes.keys() - {"header"} != wanted.keys():
             raise InputError(path, "arrays", f"{', '.join(sorted(wanted))}; found {', '.join(sorted(stored.shapes))}")
@@ -125,7 +128,7 @@ def load_transition(path: str | Path) -> TransitionFile:
             if arrays[name].dtype != np.float32 or not np.isfinite(arrays[name]).all():
                 raise InputError(path, name, "finite numbers, float32")
     leaves = [jnp.asarray(arrays[name]) for name in wanted]
-    parts, rest = eqx.partition(form, eqx.is_array)
+    parts, rest = eqx.partition(form, _is_array)
     transition = eqx.combine(jax.tree.unflatten(jax.tree.structure(parts), leaves), rest)
     for name, values in (("scales.spread", transition.scales.spread), ("scales.errors", transition.scales.errors)):
         if not (np.asarray(values) > 0.0).all():
@@ -156,8 +159,13 @@ def _form(kind: str, numbers: dict[str, int]) -> LearnedTransition:
 
 def _arrays(transition: LearnedTransition) -> dict[str, Any]:
     """Return every array under the name of its place, in the order of the tree."""
-    named = jax.tree_util.tree_flatten_with_path(eqx.filter(transition, eqx.is_array))[0]
+    named = jax.tree_util.tree_flatten_with_path(eqx.filter(transition, _is_array))[0]
     return {jax.tree_util.keystr(path).replace("[", ".").replace("]", "").lstrip("."): leaf for path, leaf in named}
+
+
+def _is_array(leaf: Any) -> bool:
+    """Return True for an array, or for the shape of one."""
+    return eqx.is_array(leaf) or isinstance(leaf, jax.ShapeDtypeStruct)
 
 
 def _whole(path: str | Path, name: str, value: Any, most: int) -> int:

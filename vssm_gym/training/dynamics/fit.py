@@ -16,6 +16,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from vssm_gym.errors import InputError
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.body_axes import body_axes
 from vssm_gym.model.transition.learned import LearnedTransition, Scales, together, untrained
@@ -65,6 +66,10 @@ class FitConfig:
     rate: float = 2e-3
     decay: float = 0.0
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.members < 2:
+            raise InputError("FitConfig", "members", f"two networks or more, not {self.members}")
 
 
 class Folds(NamedTuple):
@@ -168,7 +173,7 @@ def fit(
         eqx.tree_at(lambda t: t.network, form.transition, jax.tree.map(lambda a, k=k: a[k], best[0]))
         for k in range(len(models))
     ]
-    position, rotation = (float(std) for std in jnp.exp(trained[2]).mean(axis=0))
+    position, rotation = (float(std) for std in jnp.exp(best[2]).mean(axis=0))
     members, gain = calibrate(members, [data.take(held) for held in folds.held], dt, (position, rotation))
     transition, factor = calibrate_together(members, data, dt, (position, rotation))
     seconds = time.monotonic() - began
