@@ -367,9 +367,9 @@ INFERENCE = (
     ),
     Mutant(
         "window-whose-drift-is-forgotten",
-        "vssm_gym/inference/smoothing/online.py",
-        "    wider[:OF_POSE, :OF_POSE] += _carried(state, frame)",
-        "    wider[:OF_POSE, :OF_POSE] += 0.0 * _carried(state, frame)",
+        "vssm_gym/inference/smoothing/online_state.py",
+        "    wider[:OF_POSE, :OF_POSE] += carried(state, frame)",
+        "    wider[:OF_POSE, :OF_POSE] += 0.0 * carried(state, frame)",
         (f"{OF_SMOOTHING}/test_online.py::test_what_the_start_does_not_know_stays_unknown",),
     ),
     Mutant(

@@ -10,14 +10,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
-from vssm_gym.geometry.transforms import inverse, se3_adjoint, se3_log
+from vssm_gym.geometry.transforms import inverse, se3_log
 from vssm_gym.inference.alignment import gauss_newton, reference_view
 from vssm_gym.inference.alignment.reference_view import ReferenceView
 from vssm_gym.inference.alignment.residuals import AlignInfo
@@ -27,23 +26,32 @@ from vssm_gym.inference.mapping.map_update import MapUpdateConfig
 from vssm_gym.inference.prism.config import PrismConfig
 from vssm_gym.inference.prism.filter import with_sensor_errors
 from vssm_gym.inference.smoothing.gauss_newton import SmoothingConfig
-from vssm_gym.inference.smoothing.window import Step, View, smooth_window, view_of, without_image
+from vssm_gym.inference.smoothing.online_state import (
+    OF_POSE,
+    Earlier,
+    Frame,
+    OnlineState,
+    Placed,
+    apart,
+    carried,
+    frame_of,
+    in_world,
+    newest_belief,
+    seen_from_itself,
+)
+from vssm_gym.inference.smoothing.window import Step, smooth_window, view_of, without_image
 from vssm_gym.inference.status import Status
 from vssm_gym.inference.tracking import start_poses
 from vssm_gym.inference.tracking.camera_filter import begin, camera_pose, camera_twists
 from vssm_gym.inference.tracking.config import TrackingConfig
 from vssm_gym.inference.tracking.localise import checked, readable, seconds, shrunk
-from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
-from vssm_gym.model.map_samples import MeasurementNoise
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import RIGID, RigidState
 
-SAME_VIEW_TURN = 0.5  # rad by which a view differs from another as much as by a metre
 WINDOW_GATES = (0.1, 0.05, 0.05)  # m, of the iterations
-OF_POSE = 6  # coordinates of a pose, the first ones of a state
 HELD_STD = 1e-3  # m, rad: std of the first pose of the window, which the step before has left to it
 
 
@@ -86,46 +94,6 @@ class OnlineConfig:
             raise InputError("OnlineConfig", "free", f"two steps or more, not {self.free}")
 
 
-class Placed(NamedTuple):
-    """Hold a step with what belongs to it besides."""
-
-    step: Step
-    image: RGBD | None  # at the camera's size, for the map; None: not accepted
-    covariance: Float[np.ndarray, "n n"]  # of the state, in the world
-
-
-class Earlier(NamedTuple):
-    """Hold an earlier image that stays."""
-
-    view: View
-    T_world_cam: Float[np.ndarray, "4 4"]
-    frame: "Frame"  # of its own pose
-
-
-class Frame(NamedTuple):
-    """Hold a pose whose own error moves alike all that is known relative to it."""
-
-    T_world_body: Float[np.ndarray, "4 4"]
-    covariance: Float[np.ndarray, "p p"]  # of the pose, in the world
-
-
-class OnlineState(eqx.Module):
-    """Hold what the next step needs."""
-
-    map: VoxelMap
-    window: tuple[Placed, ...]  # the oldest first
-    before: GaussianBelief  # over the state of the oldest, relative to ``frame``
-    frame: Frame  # where the window began
-    accepted: Frame  # of the last accepted image
-    earlier: tuple[Earlier, ...]
-    belief: GaussianBelief  # over the newest state, as seen from the last accepted image
-    last: ReferenceView  # the last accepted image, at tracking size
-    start: Float[Array, "3"]  # m, of the body at the first image
-    lost: bool  # the last image was not accepted
-    key: PRNGKeyArray
-    measurement_noise: MeasurementNoise
-
-
 @dataclass(frozen=True)
 class OnlineSmoother:
     """Smooth the newest steps together (:class:`~vssm_gym.inference.filter.Filter`), from nothing (eq. I60).
@@ -161,10 +129,12 @@ class OnlineSmoother:
         view = view_of(small, rig.camera, self.config.smoothing.align)
         step = Step(belief.mean, view, jnp.zeros(self.transition.controls), 0.0)
         first = Placed(step, image, np.asarray(belief.covariance, np.float64))
-        last, known = reference_view.of_image(camera_pose(belief, rig), small), _seen_from_itself(first)
+        last, known = reference_view.of_image(camera_pose(belief, rig), small), seen_from_itself(first)
         world = Frame(np.eye(4), np.zeros((OF_POSE, OF_POSE)))
         noise, start = prior.measurement_noise, RIGID.pose(belief.mean)[:3, 3]
-        return OnlineState(prior.map, (first,), belief, world, _frame(first), (), known, last, start, False, key, noise)
+        return OnlineState(
+            prior.map, (first,), belief, world, frame_of(first), (), known, last, start, False, key, noise
+        )
 
     def step(
         self, state: OnlineState, control: Float[Array, "m"], image: RGBD, dt: float, clock: Clock = untimed
@@ -190,7 +160,7 @@ class OnlineSmoother:
         )
         predicted, quality = aligned.predicted, aligned.quality
         # Relative to the last accepted pose, whose own error comes on top
-        covariance = _in_world(predicted.mean, np.asarray(predicted.covariance), state.accepted)
+        covariance = in_world(predicted.mean, np.asarray(predicted.covariance), state.accepted)
         step = Step(predicted.mean, without_image(rig.camera), control, dt)
         unseen = replace(state, window=(*state.window, Placed(step, None, covariance)), belief=predicted, lost=True)
         status = Status.LOST if readable(small, config.tracking) else Status.NO_READING
@@ -203,9 +173,9 @@ class OnlineSmoother:
         if share < config.least_shared:
             return unseen, FilterInfo(status, self._in_report(unseen), quality, dropped)
         newest = seen.window[-1]
-        known = _seen_from_itself(newest)
+        known = seen_from_itself(newest)
         last = reference_view.of_image(camera_pose(known, rig), small)
-        state = replace(seen, belief=known, accepted=_frame(newest), last=last, lost=False)
+        state = replace(seen, belief=known, accepted=frame_of(newest), last=last, lost=False)
         return state, FilterInfo(Status.OK, self._in_report(state), quality, dropped)
 
     def posterior(self, state: OnlineState) -> Posterior:
@@ -214,11 +184,11 @@ class OnlineSmoother:
         Args:
             state: after an image.
         """
-        return Posterior(_newest(state), state.map, state.measurement_noise)
+        return Posterior(newest_belief(state), state.map, state.measurement_noise)
 
     def _in_report(self, state: OnlineState) -> GaussianBelief:
         """Return the belief over the newest state with the errors that all images share."""
-        return _reported(_newest(state), state.start, self.transition, self.config)
+        return _reported(newest_belief(state), state.start, self.transition, self.config)
 
     def _moved_on(self, state: OnlineState, clock: Clock) -> tuple[OnlineState, int]:
         """Make room for one more step: the oldest enters the map, and stays as an earlier image where it is new.
@@ -229,15 +199,15 @@ class OnlineSmoother:
         if len(state.window) < self.config.free:
             return state, 0
         (oldest, second, *_), config, dropped = state.window, self.config, 0
-        m, T = state.map, camera_pose(_seen_from_itself(oldest), self.rig)
+        m, T = state.map, camera_pose(seen_from_itself(oldest), self.rig)
         if oldest.image is not None:
             m, dropped = rolling_window.followed(m, T[:3, 3], config.window_margin)
             updated = map_update.update(m, oldest.image.depth, oldest.image.rgb, T, self.rig.camera, config.update)
             m = clock("map", updated)
-        earlier, now = state.earlier, Earlier(oldest.step.view, np.asarray(T, np.float64), _frame(oldest))
-        if len(now.view.pixels) and (not earlier or _apart(now, earlier[-1].T_world_cam) > config.spacing):
+        earlier, now = state.earlier, Earlier(oldest.step.view, np.asarray(T, np.float64), frame_of(oldest))
+        if len(now.view.pixels) and (not earlier or apart(now, earlier[-1].T_world_cam) > config.spacing):
             earlier = (*earlier, now) if len(earlier) < config.most_kept else (*earlier[::2], now)
-        before, frame = _seen_from_itself(second), _frame(second)
+        before, frame = seen_from_itself(second), frame_of(second)
         if second.image is not None:
             held = before.covariance.at[:OF_POSE, :OF_POSE].set(HELD_STD**2 * jnp.eye(OF_POSE))
         else:  # nothing has shown where it is
@@ -248,8 +218,8 @@ class OnlineSmoother:
     def _smoothed(self, state: OnlineState, rig: Rig, key: PRNGKeyArray) -> tuple[OnlineState, float]:
         """Return the state with the window smoothed, and the share of the drawn elements that its newest image sees."""
         config = self.config
-        T = np.asarray(camera_pose(_seen_from_itself(state.window[-1]), rig), np.float64)
-        near = sorted(state.earlier, key=lambda one: _apart(one, T))[: config.held]
+        T = np.asarray(camera_pose(seen_from_itself(state.window[-1]), rig), np.float64)
+        near = sorted(state.earlier, key=lambda one: apart(one, T))[: config.held]
         found = smooth_window(
             np.random.default_rng(np.asarray(jax.random.key_data(key))),
             [placed.step for placed in state.window],
@@ -263,50 +233,12 @@ class OnlineSmoother:
         )
         # The window errs as the frame that it began in, or as an earlier image that holds it, if that errs less.
         holding = [one.frame for one, share in zip(near, found.held_shares, strict=True) if share > config.least_shared]
-        frame = min([state.frame, *holding], key=lambda frame: np.trace(_carried(found.states[-1], frame)))
+        frame = min([state.frame, *holding], key=lambda frame: np.trace(carried(found.states[-1], frame)))
         window = tuple(
-            placed._replace(step=placed.step._replace(state=mean), covariance=_in_world(mean, covariance, frame))
+            placed._replace(step=placed.step._replace(state=mean), covariance=in_world(mean, covariance, frame))
             for placed, mean, covariance in zip(state.window, found.states, found.covariance, strict=True)
         )
         return replace(state, window=window), found.shared
-
-
-def _frame(placed: Placed) -> Frame:
-    """Return the pose of a step, with its covariance."""
-    return Frame(np.asarray(placed.step.state.T_world_body, np.float64), placed.covariance[:OF_POSE, :OF_POSE])
-
-
-def _carried(state: RigidState, frame: Frame) -> Float[np.ndarray, "p p"]:
-    """Return the covariance of the pose of a state that moves with a frame: ``Ad Sigma Ad^T``."""
-    between = inverse(np.asarray(state.T_world_body, np.float64)) @ frame.T_world_body
-    adjoint = np.asarray(se3_adjoint(jnp.asarray(between, jnp.float32)), np.float64)
-    return adjoint @ frame.covariance @ adjoint.T
-
-
-def _in_world(state: RigidState, covariance: np.ndarray, frame: Frame) -> np.ndarray:
-    """Return the covariance in the world of a state that is known relative to a frame."""
-    wider = np.array(covariance, np.float64)
-    wider[:OF_POSE, :OF_POSE] += _carried(state, frame)
-    return wider
-
-
-def _seen_from_itself(placed: Placed) -> GaussianBelief:
-    """Return the belief of one who knows the pose of a step, and the rest of its state as well as it is known."""
-    covariance = placed.covariance.copy()
-    covariance[:OF_POSE], covariance[:, :OF_POSE] = 0.0, 0.0
-    return GaussianBelief(placed.step.state, jnp.asarray(covariance, jnp.float32), RIGID)
-
-
-def _newest(state: OnlineState) -> GaussianBelief:
-    """Return the belief over the newest state, in the world."""
-    return replace(state.belief, covariance=jnp.asarray(state.window[-1].covariance, jnp.float32))
-
-
-def _apart(one: Earlier, T_world_cam: Float[np.ndarray, "4 4"]) -> float:
-    """Return how much two views differ, m: the distance, and the angle by which the camera turned."""
-    R = one.T_world_cam[:3, :3].T @ T_world_cam[:3, :3]
-    angle = np.arccos(np.clip(0.5 * (np.trace(R) - 1.0), -1.0, 1.0))
-    return float(np.linalg.norm(one.T_world_cam[:3, 3] - T_world_cam[:3, 3]) + angle / SAME_VIEW_TURN)
 
 
 class _Aligned(NamedTuple):
