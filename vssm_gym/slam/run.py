@@ -217,6 +217,9 @@ class SlamOptions:
         Args:
             camera: of the images, at :attr:`size`.
             transition: how the camera moves, in its first frame.
+
+        Returns:
+            PRISM with the options' sensor, size and solver.
         """
         kind = DEPTHS[self.depth]
         config = PrismConfig(
