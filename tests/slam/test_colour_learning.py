@@ -60,7 +60,7 @@ def test_the_command_learns_writes_and_shows_the_calibration(
     assert abs(rows["translation x"]["learned"] - 25.0) < 4.0
     assert abs(rows["fx"]["learned"] / 64.0 - np.exp(0.02)) < 0.006
     report = (out / "report.html").read_text()
-    assert 'id="colour-camera"' in report
+    assert 'id="colour"' in report
     # What was written is a calibration of the recording, with the posterior as the prior of the next run.
     (folder / "camera.json").write_bytes((out / "camera.json").read_bytes())
     known = load_sequence(folder).colour
