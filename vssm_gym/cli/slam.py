@@ -63,7 +63,7 @@ def slam(
         depth: kind of depth sensor: good (structured light, or stereo at short range) or stereo (noisy, long range).
         transition: file of `vssm-gym train-dynamics`, learned from flights: predicts the motion from imu.txt instead
             of a constant velocity; the camera must rest for the first half second.
-        method: prism filters pose and map; smoother finds the newest poses together, and in the end all of them,
+        method: prism filters pose and map; smoother finds the newest poses together, and in the end up to 300,
             without a filter; tracker estimates the pose in a given map, which stays fixed.
         map: map file for the tracker, from another run of slam or from map build.
         start: x,y,z,qx,qy,qz,qw for the tracker: approximate pose of the first camera in the map (default: its origin).

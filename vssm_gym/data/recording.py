@@ -72,16 +72,7 @@ def record(
         InputError: an unknown scene or noise, or a folder that is not empty.
     """
     check_new_folder(out)
-    choose("record", "robot", robot, HOLONOMIC_ROBOTS)
-    env = PointNavEnv(
-        scene=str(scene),
-        robot=robot,
-        noise=noise,
-        sensor_noise=sensor_noise,
-        camera=camera,
-        observe_pose=True,
-        reward="sparse",
-    )
+    env = _environment(scene, robot, noise, sensor_noise, camera)
     route = survey_route(env.apartment, env.robot, seed)
     about = {"motion": "survey", "robot": robot, "noise": noise, "sensor_noise": sensor_noise}
     about |= {"renderer": env.renderer_name}
@@ -121,12 +112,9 @@ def record_wandering(
         InputError: an unknown scene or noise, an impossible duration, or a folder that is not empty.
     """
     check_new_folder(out)
-    choose("record", "robot", robot, HOLONOMIC_ROBOTS)
     if not 1.0 <= seconds <= LONGEST_DRIVE:
         raise InputError("record", "seconds", f"a duration between 1 and {LONGEST_DRIVE:g} s, not {seconds}")
-    env = PointNavEnv(
-        scene=str(scene), robot=robot, noise=noise, sensor_noise=sensor_noise, camera=camera, reward="sparse"
-    )
+    env = _environment(scene, robot, noise, sensor_noise, camera)
     about = {"motion": "wander", "seconds": seconds, "robot": robot, "noise": noise, "sensor_noise": sensor_noise}
     steps = round(seconds / env.robot.dt)
     try:
@@ -142,6 +130,22 @@ def record_wandering(
     finally:
         env.close()
     return steps + 1
+
+
+def _environment(
+    scene: str | Path, robot: str, noise: str, sensor_noise: str, camera: CameraConfig | None
+) -> PointNavEnv:
+    """Return the environment of a robot whose drive is recorded."""
+    choose("record", "robot", robot, HOLONOMIC_ROBOTS)
+    return PointNavEnv(
+        scene=str(scene),
+        robot=robot,
+        noise=noise,
+        sensor_noise=sensor_noise,
+        camera=camera,
+        observe_pose=True,
+        reward="sparse",
+    )
 
 
 def record_handheld(
