@@ -124,7 +124,7 @@ def test_the_command_writes_the_smoothed_trajectory(tmp_path, capsys):
     _, poses = poses_of(out / "trajectory.txt")
     assert errors(poses).max() < 0.006
     report = (out / "report.html").read_text()
-    assert "image by image" in report and 'id="refinement"' in report
+    assert "before smoothing" in report and 'id="refinement"' in report
 
 
 def test_a_given_map_cannot_be_refined(tmp_path):

@@ -68,16 +68,14 @@ def _cost(axes: Axes, costs: list[float]) -> None:
 
 
 def _corrections(axes: Axes, refined: Refinement) -> None:
-    """Draw how far each pose was moved, and the half-width of the 95 % interval that was stated image by image."""
+    """Draw how far each pose was moved, and the half-width of the 95 % interval that was stated before."""
     before, after = refined.filtered, refined.run
     moved = np.asarray(se3_log(jnp.asarray(inverse(before.poses) @ after.poses, jnp.float32)), float)
     t = before.times - before.times[0]
     axes.plot(t, 100.0 * np.linalg.norm(moved[:, :3], axis=1), color=pictures.ESTIMATE_COLOUR, label="position, cm")
     axes.plot(t, np.degrees(np.linalg.norm(moved[:, 3:], axis=1)), color=BEFORE_COLOUR, label="rotation, deg")
     stated = [np.nan if f.covariance is None else _largest_std(f) for f in before.frames]
-    axes.plot(
-        t, 100.0 * NORMAL_95 * np.array(stated), color="0.6", linewidth=1.0, label="95 % stated image by image, cm"
-    )
+    axes.plot(t, 100.0 * NORMAL_95 * np.array(stated), color="0.6", linewidth=1.0, label="95 % stated before, cm")
     axes.set(title="corrections", xlabel="time, s")
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize=8, frameon=False)
@@ -99,7 +97,7 @@ def _errors(axes: Axes, refined: Refinement, truth: Truth | None) -> None:
     true = truth.T_world_cam[~refined.filtered.lost[truth.rows]]
     t = refined.run.times[rows] - refined.run.times[0]
     for run, colour, name in (
-        (refined.filtered, BEFORE_COLOUR, "image by image"),
+        (refined.filtered, BEFORE_COLOUR, "before"),
         (refined.run, pictures.ESTIMATE_COLOUR, "smoothed"),
     ):
         poses = run.poses[rows]
@@ -115,7 +113,7 @@ def _path(axes: Axes, refined: Refinement, display: Display) -> None:
     if display.truth is not None:
         axes.plot(*display.truth[:, :2].T, color=pictures.TRUE_COLOUR, linewidth=1.8, label="ground truth")
     for run, colour, name in (
-        (refined.filtered, BEFORE_COLOUR, "image by image"),
+        (refined.filtered, BEFORE_COLOUR, "before"),
         (refined.run, pictures.ESTIMATE_COLOUR, "smoothed"),
     ):
         p = transform(display.T_display_world, run.poses[:, :3, 3])
@@ -129,7 +127,7 @@ def _images(figure: SubFigure, refined: Refinement) -> None:
     """Draw the depth differences of some images to both maps, one above the other."""
     norm = Normalize(-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE)
     grid = figure.subplots(2, COMPARED_FRAMES)
-    for row, run, name in zip(grid, (refined.filtered, refined.run), ("image by image", "smoothed"), strict=True):
+    for row, run, name in zip(grid, (refined.filtered, refined.run), ("before", "smoothed"), strict=True):
         for axes, frame in zip(row, compared(refined), strict=True):
             image = axes.imshow(_difference(run, frame), cmap="RdBu_r", norm=norm)
             axes.set_facecolor(pictures.UNKNOWN_COLOUR)
@@ -154,7 +152,7 @@ def _slices(figure: SubFigure, refined: Refinement, display: Display) -> None:
     p = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), height)], axis=-1)
     p_world = transform(inverse(display.T_display_world), p)
     both = figure.subplots(1, 2, sharey=True)
-    for axes, run, name in zip(both, (refined.filtered, refined.run), ("image by image", "smoothed"), strict=True):
+    for axes, run, name in zip(both, (refined.filtered, refined.run), ("before", "smoothed"), strict=True):
         mean, _ = belief_at(run.map, p_world)
         axes.set_facecolor(pictures.UNKNOWN_COLOUR)
         image = axes.imshow(

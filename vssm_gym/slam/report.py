@@ -107,7 +107,7 @@ def _refinement(refined: Refinement, display: figures.Display, truth: Truth | No
         "frames": len(refined.nodes),
         "seconds": f"{refined.seconds:.0f}",
         "picture": webp_image(refinement_figures.before_and_after(refined, display, truth)),
-        "table": Table(["frame", "median |depth difference|, mm: image by image", "smoothed"], lines, 1),
+        "table": Table(["frame", "median |depth difference|, mm: before", "smoothed"], lines, 1),
     }
 
 

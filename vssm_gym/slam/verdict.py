@@ -79,7 +79,7 @@ def tiles(run: SlamRun, stats: dict[str, Any], alignment: Alignment | None) -> l
         ate = f"{100.0 * errors['ate_translation_se3']['rmse']:.2f} cm"
         loose = alignment is not None and alignment.is_loose
         before = (stats.get("refinement") or {}).get("ate_before")
-        filtered = f"; image by image {100.0 * before['rmse']:.2f} cm" if before else ""
+        filtered = f"; before smoothing {100.0 * before['rmse']:.2f} cm" if before else ""
         shown.append(Tile("position error", ate, f"ATE after SE(3), RMSE{filtered}", "warn" if loose else "main"))
         if "rpe_translation_30" in errors:
             drift = f"{100.0 * errors['rpe_translation_30']['rmse']:.2f} cm"
