@@ -20,6 +20,7 @@ BASELINE = 0.025  # m, along the rows
 MISPLACED = 0.002  # m, standard deviation along columns and view
 TURNED = np.radians(0.6)  # rad, standard deviation about each axis
 FOCAL_ERROR = 0.02  # of both stated focal lengths
+CENTRE_ERROR = 0.004  # focal lengths, standard deviation of both coordinates of the principal point
 
 
 def draw_rig(camera: Camera, seed: int) -> tuple[ColourCalibration, ColourCamera]:
@@ -27,7 +28,7 @@ def draw_rig(camera: Camera, seed: int) -> tuple[ColourCalibration, ColourCamera
 
     Args:
         camera: the depth camera; the colour images have its size.
-        seed: of side, turn, and sign of the focal lengths' error.
+        seed: of side, turn, principal point, and sign of the focal lengths' error.
     """
     rng = seeded_streams(seed, ("colour rig",))["colour rig"]
     side, longer = rng.choice([-1.0, 1.0], 2)
@@ -35,6 +36,7 @@ def draw_rig(camera: Camera, seed: int) -> tuple[ColourCalibration, ColourCamera
     theta[:3] = side * BASELINE, *rng.normal(0.0, MISPLACED, 2)
     theta[3:6] = rng.normal(0.0, TURNED, 3)
     theta[6:8] = np.log1p(longer * FOCAL_ERROR)
+    theta[8:10] = rng.normal(0.0, CENTRE_ERROR, 2)
     stated = ColourCamera(camera, np.eye(4))
     return ColourCalibration(stated), stated.moved(theta)
 

@@ -78,6 +78,13 @@ def rows(block: Int[Array, "*batch"], table: BlockTable | None) -> Int[Array, "*
     return block if table is None else table.rows(block)
 
 
+def stored_rows(count: int, table: BlockTable | None) -> Bool[Array, "count"]:
+    """Return which of so many storage rows hold a block of their own."""
+    if table is None:
+        return jnp.ones(count, bool)
+    return jnp.zeros(count, bool).at[table.slot.reshape(-1)].set(True).at[PRIOR_SLOT].set(False)
+
+
 def block_number(b: Coordinates, blocks: Blocks) -> Array:
     """Return the number of the block at block coordinates ``b``; z runs fastest."""
     return (b[0] * blocks[1] + b[1]) * blocks[2] + b[2]

@@ -212,6 +212,9 @@ def test_the_map_term_counts_stored_cells_of_every_channel() -> None:
             channels = np.broadcast_to(0.5 * (np.log(pa / pb) + pb / pa - 1.0 + pb * (a - b) ** 2), a.shape)
             total += channels.sum()
     assert float(map_divergence(q, prior)) == pytest.approx(total, rel=1e-4)
+    uncoloured = eqx.tree_at(lambda m: (m.colour, m.colour_precision), q, (prior.colour, prior.colour_precision))
+    without = float(map_divergence(q, prior, coloured=False))
+    assert without == pytest.approx(float(map_divergence(uncoloured, prior)), rel=1e-5)
     assert float(map_divergence(q, q)) == pytest.approx(0.0, abs=1e-3)
 
 

@@ -10,6 +10,7 @@ from scipy import stats
 from tests.helpers.analytic_room import camera_pose
 from tests.helpers.random_maps import ORIGIN, SHAPE, VOXEL, random_map
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.smoothing.colour_network import ColourNetwork
 from vssm_gym.inference.smoothing.map_draw import MapDraw, cell_normals
 from vssm_gym.maps.block_table import CELLS, BlockTable
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -104,3 +105,23 @@ def test_cells_without_storage_are_the_prior_and_have_no_slope() -> None:
     slope = eqx.filter_grad(draw)(m)
     assert not np.any(slope.occupancy) and not np.any(slope.occupancy_precision)
     assert m.occupancy.shape[-1] == CELLS
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_a_network_paints_points_and_cells_alike(sparse: bool) -> None:
+    """Rays see its colour at their surfaces; the painted map has it at the centres of stored cells, and no others."""
+    m = uncertain(sparse)
+    network = ColourNetwork.grey(jax.random.key(1), m, width=16, layers=2)
+    leave = 0.05 * jax.random.normal(jax.random.key(2), network.leave.shape)
+    network = eqx.tree_at(lambda n: n.leave, network, leave)
+    draw = MapDraw.of(jax.random.key(8), m, network)
+    T = jnp.asarray(camera_pose((-0.9, 0.1, 1.1), 0.2), jnp.float32)
+    found = trace(march, draw, *world_rays(T, VIEW), 4.0)
+    again = trace(march, MapDraw.of(jax.random.key(8), m), *world_rays(T, VIEW), 4.0)
+    np.testing.assert_array_equal(found.depth, again.depth)
+    assert np.abs(np.asarray(found.rgb - again.rgb))[np.asarray(found.hit)].max() > 0.1
+    painted = network.painted(m)
+    centres = jnp.asarray(np.asarray(m.origin) + float(m.voxel_size) * np.array([[9, 3, 4], [12, 14, 5]]), jnp.float32)
+    np.testing.assert_allclose(painted.colour_at(centres), network(centres), atol=1e-5)
+    if sparse:
+        np.testing.assert_array_equal(painted.colour[0], m.colour[0])

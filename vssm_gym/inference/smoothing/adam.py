@@ -31,8 +31,9 @@ GROUPS = {  # of the fields of Parameters: what has one rate
     "log_occupancy_std": "occupancy",
     "colour": "colour",
     "log_colour_std": "colour",
+    "network": "colour",
     "log_scales": "emission",
-    "intrinsics": "fixed",
+    "intrinsics": "intrinsics",
 }
 
 
@@ -48,8 +49,9 @@ class ElboAdamConfig:
         samples: trajectories drawn a gradient step.
         states_rate: of means (m, rad) and log standard deviations of states.
         occupancy_rate: of means (m) and log standard deviations of cells.
-        colour_rate: the same of colours.
+        colour_rate: the same of colours; of the weights of a network of colours.
         emission_rate: of the log scales of the emission.
+        intrinsics_rate: pixels, of focal lengths and principal point, which are point estimates; 0: they stay.
         reported: gradient steps between reports, over which a cost is averaged.
     """
 
@@ -62,6 +64,7 @@ class ElboAdamConfig:
     occupancy_rate: float = 0.05
     colour_rate: float = 0.001
     emission_rate: float = 0.001
+    intrinsics_rate: float = 0.0
     reported: int = 100
 
 
@@ -72,7 +75,7 @@ class Maximised(NamedTuple):
     covariance: Float[np.ndarray, "time n n"]
     costs: list[float]  # -L, nats, the mean over the gradient steps between two reports
     q: VariationalPosterior
-    model: SpatialModel  # with the learned scales
+    model: SpatialModel  # with the learned scales and intrinsics
 
 
 def smooth(
@@ -86,7 +89,7 @@ def smooth(
     config: ElboAdamConfig = ElboAdamConfig(),
     on_report: Callable[[int, float], None] | None = None,
 ) -> Maximised:
-    """``argmax L`` over ``q(z_1:T, M)`` and the scales of the emission (eq. I59).
+    """``argmax L`` over ``q(z_1:T, M)``, the scales of the emission and, where asked, the intrinsics (eq. I59).
 
     Args:
         key: random key.
@@ -158,13 +161,13 @@ def _climb(
 
 
 def _optimiser(config: ElboAdamConfig) -> optax.GradientTransformation:
-    """Return Adam by groups of parameters; intrinsics stay."""
+    """Return Adam by groups of parameters."""
     rates = {
         "states": optax.adam(config.states_rate, b1=0.0),
         "occupancy": optax.adam(config.occupancy_rate, b1=0.0),
         "colour": optax.adam(config.colour_rate),
         "emission": optax.adam(config.emission_rate),
-        "fixed": optax.set_to_zero(),
+        "intrinsics": optax.adam(config.intrinsics_rate),
     }
     group = lambda path, _: GROUPS[path[0].name]
     return optax.multi_transform(rates, partial(jax.tree_util.tree_map_with_path, group))

@@ -14,12 +14,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.smoothing.colour_network import ColourNetwork
 from vssm_gym.inference.smoothing.families import TrajectoryBelief
 from vssm_gym.inference.smoothing.map_draw import MapDraw
-from vssm_gym.maps.block_table import PRIOR_SLOT
+from vssm_gym.maps.block_table import stored_rows
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import RGBD
@@ -34,10 +35,12 @@ class VariationalPosterior(eqx.Module):
     Attributes:
         states: the trajectory, of any family.
         m: the map. Its precisions are those of the cells, 1 / std^2, not numbers of observations.
+        network: of colours, instead of those of the cells; None: the cells'.
     """
 
     states: TrajectoryBelief
     m: VoxelMap
+    network: ColourNetwork | None = None
 
 
 class Elbo(NamedTuple):
@@ -119,19 +122,24 @@ def elbo(
     keys = jax.random.split(of_maps, (samples, len(batch.step)))
     chosen = jax.tree.map(lambda leaf: leaf[:, batch.step], drawn.states)
     seen = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[3:])[_flat(batch, images)], images)
-    of_image = partial(log_prob_pixels, model, q.m)
+    of_image = partial(log_prob_pixels, model, q)
     of_trajectory = jax.vmap(of_image, in_axes=(0, 0, 0, 0))
     pixels = jax.vmap(of_trajectory, in_axes=(0, 0, None, None))(keys, chosen, seen, batch.pixels)
     path = log_prob_path(model, start, drawn.states, controls, dt)
     return Elbo(
         images=images.depth.size * jnp.mean(pixels),
-        map=map_divergence(q.m, model.m),
+        map=map_divergence(q.m, model.m, q.network is None),
         states=-jnp.mean(jnp.sum(drawn.entropy, axis=1) + path),
     )
 
 
 def log_prob_pixels(
-    model: SpatialModel, m: VoxelMap, key: PRNGKeyArray, state: State, image: RGBD, pixels: Int[Array, "pixels"]
+    model: SpatialModel,
+    q: VariationalPosterior,
+    key: PRNGKeyArray,
+    state: State,
+    image: RGBD,
+    pixels: Int[Array, "pixels"],
 ) -> Float[Array, "pixels"]:
     """``log p(x | z, M)`` of pixels of one image, ``M ~ q(M)`` by the key.
 
@@ -141,7 +149,7 @@ def log_prob_pixels(
 
     Args:
         model: transition, camera and scales.
-        m: ``q(M)``.
+        q: whose map is drawn.
         key: of the map.
         state: of the body; one state.
         image: the pixels' readings, arrays with one axis of pixels.
@@ -149,7 +157,7 @@ def log_prob_pixels(
     """
     T_world_cam = model.transition.manifold.pose(state) @ model.T_body_cam
     rays = emission.world_rays(T_world_cam, model.camera, pixels)
-    hits = emission.trace(emission.march, MapDraw.of(key, m), *rays, model.max_depth)
+    hits = emission.trace(emission.march, MapDraw.of(key, q.m, q.network), *rays, model.max_depth)
     row = lambda a: a[None]  # an image of one row
     predicted = RGBD(row(hits.depth), row(hits.rgb), row(hits.hit), row(hits.hit))
     return log_prob(jax.tree.map(row, image), predicted, model.scales, model.max_depth).total[0]
@@ -183,7 +191,7 @@ def log_prob_path(
     return start.log_prob(first) + jnp.sum(steps, axis=0)
 
 
-def map_divergence(q: VoxelMap, prior: VoxelMap) -> Float[Array, ""]:
+def map_divergence(q: VoxelMap, prior: VoxelMap, coloured: bool = True) -> Float[Array, ""]:
     """``KL(q(M) || p(M))`` of occupancy and three colours a cell, over the stored cells (eq. I56).
 
     Blocks without storage are no part of the random map (:mod:`~vssm_gym.inference.smoothing.map_draw`).
@@ -191,26 +199,20 @@ def map_divergence(q: VoxelMap, prior: VoxelMap) -> Float[Array, ""]:
     Args:
         q: the approximate posterior.
         prior: stored alike.
+        coloured: whether colours are those of the cells; a network of them has no divergence.
     """
-    stored = _stored_rows(q)[:, None]
-    occupancy = _divergence(q.occupancy, q.occupancy_precision, prior.occupancy, prior.occupancy_precision)
-    precisions = q.colour_precision[:, None], prior.colour_precision[:, None]
-    colour = _divergence(q.colour, precisions[0], prior.colour, precisions[1])
-    return jnp.sum(jnp.where(stored, occupancy + jnp.sum(colour, axis=1), 0.0))
+    stored = stored_rows(q.occupancy.shape[0], q.table)[:, None]
+    cells = _divergence(q.occupancy, q.occupancy_precision, prior.occupancy, prior.occupancy_precision)
+    if coloured:
+        precisions = q.colour_precision[:, None], prior.colour_precision[:, None]
+        cells = cells + jnp.sum(_divergence(q.colour, precisions[0], prior.colour, precisions[1]), axis=1)
+    return jnp.sum(jnp.where(stored, cells, 0.0))
 
 
 def _divergence(mean: Array, precision: Array, prior_mean: Array, prior_precision: Array) -> Array:
     """Return ``KL(N(mean, 1 / precision) || N(prior_mean, 1 / prior_precision))``."""
     ratio = prior_precision / precision
     return 0.5 * (ratio - 1.0 - jnp.log(ratio) + prior_precision * (mean - prior_mean) ** 2)
-
-
-def _stored_rows(m: VoxelMap) -> Bool[Array, "rows"]:
-    """Return which rows hold a block of their own."""
-    rows = m.occupancy.shape[0]
-    if m.table is None:
-        return jnp.ones(rows, bool)
-    return jnp.zeros(rows, bool).at[m.table.slot.reshape(-1)].set(True).at[PRIOR_SLOT].set(False)
 
 
 def _flat(batch: Batch, images: RGBD) -> Int[Array, "steps pixels"]:

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt32
 
+from vssm_gym.inference.smoothing.colour_network import ColourNetwork
 from vssm_gym.maps.block_table import CELLS
 from vssm_gym.maps.voxel_map import PRIOR_OCCUPANCY_MEAN, VoxelMap, trilinear
 
@@ -29,17 +30,19 @@ class MapDraw(eqx.Module):
         m: ``q(M)``; its precisions are those of the cells, 1 / std^2.
         occupancy_words: of the draw's key, for occupancies.
         colour_words: the same for colours.
+        network: that paints the map instead of its cells; None: they have colours.
     """
 
     m: VoxelMap
     occupancy_words: UInt32[Array, "2"]
     colour_words: UInt32[Array, "2"]
+    network: ColourNetwork | None = None
 
     @classmethod
-    def of(cls, key: PRNGKeyArray, m: VoxelMap) -> "MapDraw":
+    def of(cls, key: PRNGKeyArray, m: VoxelMap, network: ColourNetwork | None = None) -> "MapDraw":
         """Return the draw that belongs to a key."""
         words = jax.random.bits(key, (2, 2))
-        return cls(m, words[0], words[1])
+        return cls(m, words[0], words[1], network)
 
     @property
     def voxel_size(self) -> Float[Array, ""]:
@@ -55,7 +58,9 @@ class MapDraw(eqx.Module):
         return jnp.where(inside, trilinear(list(cells), *fraction), PRIOR_OCCUPANCY_MEAN)
 
     def colour_at(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        """Interpolate the drawn colour at points (m): RGB, not limited to [0, 1]."""
+        """Interpolate the drawn colour at points (m), or ask the network: RGB, not limited to [0, 1]."""
+        if self.network is not None:
+            return self.network(p_world)
         offsets, fraction, inside = self.m.corners(p_world)
         at = jnp.stack(offsets)[..., None]
         # A row holds three planes of cells: from row CELLS + cell to (3 row + channel) CELLS + cell.

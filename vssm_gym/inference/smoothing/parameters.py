@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from vssm_gym.inference.smoothing.colour_network import ColourNetwork
 from vssm_gym.inference.smoothing.elbo import VariationalPosterior
 from vssm_gym.inference.smoothing.families import TrajectoryBelief
 from vssm_gym.maps.voxel_map import VoxelMap
@@ -41,6 +42,7 @@ class Parameters(eqx.Module):
         log_colour_std: of the cells, one number for three channels.
         log_scales: of the emission.
         intrinsics: of the camera.
+        network: of colours, where the posterior has one.
     """
 
     states: TrajectoryBelief
@@ -50,6 +52,7 @@ class Parameters(eqx.Module):
     log_colour_std: Float[Array, "rows cells"]
     log_scales: LogScales
     intrinsics: Intrinsics
+    network: ColourNetwork | None = None
 
     @classmethod
     def of(cls, q: VariationalPosterior, model: SpatialModel) -> "Parameters":
@@ -69,6 +72,7 @@ class Parameters(eqx.Module):
             log_colour_std=-0.5 * jnp.log(q.m.colour_precision),
             log_scales=LogScales(*logs),
             intrinsics=Intrinsics(*(jnp.asarray(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))),
+            network=q.network,
         )
         # None of weak type, which the first gradient step would change: all would compile twice
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), parameters)
@@ -83,7 +87,7 @@ class Parameters(eqx.Module):
         belief = lambda m: (m.occupancy, m.occupancy_precision, m.colour, m.colour_precision)
         precisions = jnp.exp(-2.0 * self.log_occupancy_std), jnp.exp(-2.0 * self.log_colour_std)
         cells = (self.occupancy, precisions[0], self.colour, precisions[1])
-        return VariationalPosterior(self.states, eqx.tree_at(belief, grid, cells))
+        return VariationalPosterior(self.states, eqx.tree_at(belief, grid, cells), self.network)
 
     def model(self, model: SpatialModel) -> SpatialModel:
         """Return the model with these scales and intrinsics."""
