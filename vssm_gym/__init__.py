@@ -60,7 +60,7 @@ if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_ap
     from vssm_gym.planning.result import PlanResult as PlanResult
     from vssm_gym.slam.map_building import build_map as build_map
     from vssm_gym.slam.map_building import map_from_frames as map_from_frames
-    from vssm_gym.slam.run import SlamOptions as SlamOptions
+    from vssm_gym.slam.options import SlamOptions as SlamOptions
     from vssm_gym.slam.run import run_slam as run_slam
 else:  # a checker that saw these two would accept any misspelt name
 
@@ -110,7 +110,7 @@ PUBLIC: dict[str, str] = {
     "load_sequence": "vssm_gym.data.sequences",
     "build_map": "vssm_gym.slam.map_building",
     "run_slam": "vssm_gym.slam.run",
-    "SlamOptions": "vssm_gym.slam.run",
+    "SlamOptions": "vssm_gym.slam.options",
     "write_trajectory": "vssm_gym.data.trajectories",
     # planning
     "ClearanceMap": "vssm_gym.planning.clearance",

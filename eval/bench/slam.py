@@ -20,7 +20,8 @@ from vssm_gym.eval.bench.open3d_slam import STAGES
 from vssm_gym.model.emission import MAX_DEPTH
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
-from vssm_gym.slam.run import SlamOptions, SlamRun, prefetch, run_slam, thin
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import SlamRun, prefetch, run_slam, thin
 
 # Image sizes, and the voxel (m) that Open3D gets at each: those of its published dense pipelines, finer with the image.
 OPEN3D_VOXEL = {(160, 120): 0.03, (320, 240): 0.02}

@@ -25,7 +25,8 @@ from vssm_gym.geometry.transforms import inverse
 from vssm_gym.inference.status import Status
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.calibration import pose_residuals
-from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import SlamRun, run_slam
 
 FAULTS = (*IMAGE_FAULTS, *MOTION_FAULTS)
 WALK_SCENES = ("birch", "maple")  # of the simulated walks; thresholds were chosen in oak

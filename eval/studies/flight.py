@@ -24,7 +24,8 @@ from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.geometry.transforms import inverse
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
-from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import SlamRun, run_slam
 from vssm_gym.viz import pictures
 
 ATE_GOAL = 0.10  # m of ATE, the project's own aim

@@ -18,7 +18,8 @@ from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.inference.tracking.localise import tracking_factor
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
-from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import SlamRun, run_slam
 from vssm_gym.viz import pictures
 
 MIN_FRAMES = 3  # fewer positions cannot be aligned

@@ -15,7 +15,8 @@ from vssm_gym.data.sequences import Sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.run import MAX_DENSE_CELLS, SlamOptions, TrackedFrame, run_slam
+from vssm_gym.slam.options import MAX_DENSE_CELLS, SlamOptions
+from vssm_gym.slam.run import TrackedFrame, run_slam
 from vssm_gym.viz import pictures
 
 IMAGE_SIZES = ((80, 60), (160, 120), (320, 240))  # pixels; those up to the recorded size are run

@@ -23,7 +23,8 @@ from vssm_gym.eval.studies.map_update import _answer, _picture
 from vssm_gym.eval.studies.page import Study, study_folder, write_study
 from vssm_gym.eval.studies.page import page as study_page
 from vssm_gym.inference.status import Status
-from vssm_gym.slam.run import SlamOptions, TrackedFrame
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import TrackedFrame
 
 
 def arm(steps: int, ms: float, depth: float) -> dict:

@@ -9,7 +9,7 @@ from vssm_gym.data.sequences import SequenceWriter
 from vssm_gym.data.trajectories import read_trajectory
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import R_BODY_CAM
-from vssm_gym.slam.run import SlamOptions
+from vssm_gym.slam.options import SlamOptions
 
 FRAMES = 10
 SIZE = "80x60"  # one size and one grid everywhere, since each compiles the step again

@@ -14,7 +14,7 @@ from vssm_gym.data.sequences import load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.colour_camera import PRIOR_STD
 from vssm_gym.slam.colour_learning import LearnedColour
-from vssm_gym.slam.run import SlamOptions
+from vssm_gym.slam.options import SlamOptions
 
 
 def slam(folder: Path, out: Path) -> None:

@@ -16,7 +16,8 @@ from vssm_gym.envs.sensors import CameraConfig
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import flight as study_flight
 from vssm_gym.geometry.gravity import GRAVITY
-from vssm_gym.slam.run import SlamOptions, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import run_slam
 
 SMALL = CameraConfig(64, 48)
 FAR = {"size": (64, 48), "rate": 20.0, "voxel": 0.25, "extent": 16.0, "max_depth": 20.0, "depth": "stereo"}

@@ -17,7 +17,8 @@ from vssm_gym.eval.studies import flight as study_flight
 from vssm_gym.model.transition.learned import Scales, together, untrained
 from vssm_gym.model.transition.learned_file import calibrated, save_transition
 from vssm_gym.slam.learned_motion import LearnedMotion, level_of, load_flight_transition
-from vssm_gym.slam.run import SlamOptions, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import run_slam
 
 FAR = {"size": (64, 48), "rate": 20.0, "voxel": 0.25, "extent": 16.0, "max_depth": 20.0, "depth": "stereo"}
 

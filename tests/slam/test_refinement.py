@@ -13,9 +13,10 @@ from vssm_gym.data.sequences import load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse, se3_exp, transform
 from vssm_gym.model.posterior import Posterior
+from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.refinement import carried, refine
 from vssm_gym.slam.refinement_figures import COMPARED_FRAMES, compared, depth_differences
-from vssm_gym.slam.run import SlamOptions, run_slam
+from vssm_gym.slam.run import run_slam
 from vssm_gym.viz.mesh import surface_mesh
 
 OPTIONS = SlamOptions(size=(80, 60), voxel=0.08, extent=6.4, refine=True)

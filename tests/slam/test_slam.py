@@ -29,8 +29,9 @@ from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.geometry.transforms import inverse, transform
 from vssm_gym.inference.prism.filter import Prism
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
+from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.output import _content_hash
-from vssm_gym.slam.run import SlamOptions, run_slam
+from vssm_gym.slam.run import run_slam
 from vssm_gym.viz import stream
 
 

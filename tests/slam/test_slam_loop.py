@@ -10,7 +10,8 @@ from tests.helpers.slam_recordings import FRAMES, frame_of, image_from, options,
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.geometry.transforms import inverse
 from vssm_gym.slam import trajectory_error
-from vssm_gym.slam.run import SlamOptions, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import run_slam
 
 
 def test_the_map_starts_at_the_first_depth(tmp_path):

@@ -10,7 +10,7 @@ from tests.helpers.slam_recordings import FILES, FRAMES, names, poses_of, true_p
 from vssm_gym.cli.slam import slam
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse
-from vssm_gym.slam.run import SlamOptions
+from vssm_gym.slam.options import SlamOptions
 
 OPTIONS = {"size": "80x60", "voxel": 0.08, "extent": 6.4}
 TRUE = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])

@@ -79,7 +79,7 @@ def slam(
     from vssm_gym.data.sequences import load_sequence
     from vssm_gym.files.output_folders import check_folder
     from vssm_gym.slam import output as slam_output
-    from vssm_gym.slam.run import SlamOptions
+    from vssm_gym.slam.options import SlamOptions
     from vssm_gym.viz.stream import open_viewer
 
     options = SlamOptions(

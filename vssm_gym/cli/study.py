@@ -266,7 +266,7 @@ def flight(
     from vssm_gym.eval.studies import flight as study_flight
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.output_folders import check_at_least, check_folder
-    from vssm_gym.slam.run import SlamOptions
+    from vssm_gym.slam.options import SlamOptions
 
     check_at_least("study", "seeds", seeds, 1)
     options = SlamOptions(

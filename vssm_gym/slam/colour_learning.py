@@ -18,8 +18,9 @@ from vssm_gym.errors import InputError
 from vssm_gym.inference.smoothing.gauss_newton import ColourPrior
 from vssm_gym.inference.smoothing.views import stack_apart
 from vssm_gym.progress import OnProgress
+from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.refinement import FEWEST_NODES, nodes_of, smooth_nodes
-from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.run import SlamRun, run_slam
 
 MOST_ROUNDS = 3  # runs of the filter after the first one
 SETTLED = 0.5  # standard deviations: a smaller change of all parameters ends the rounds

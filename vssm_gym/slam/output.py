@@ -27,10 +27,11 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.colour_learning import learn_colour, registered
 from vssm_gym.slam.figures import STAGES
+from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.real_time import real_time
 from vssm_gym.slam.refinement import refine
 from vssm_gym.slam.report import page
-from vssm_gym.slam.run import SlamOptions, SlamRun, TrackedFrame, run_slam
+from vssm_gym.slam.run import SlamRun, TrackedFrame, run_slam
 from vssm_gym.slam.states import Truth, calibration_summary
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh, write_ply

@@ -30,7 +30,8 @@ from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.manifold import RigidState
 from vssm_gym.model.transition.rigid import rigid_belief
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.run import SlamOptions, SlamRun
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import SlamRun
 
 MOST_NODES = 300  # frames that are smoothed: the time of an iteration grows with their square
 FEWEST_NODES = 3  # accepted frames below which nothing is smoothed

@@ -15,7 +15,7 @@ from vssm_gym.eval.studies.calibration import nuisances
 from vssm_gym.eval.studies.calibration.errors import RunErrors, summarise
 from vssm_gym.eval.studies.calibration.recordings import Estimates, errors_of, estimate, last_nees, parts
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.run import SlamOptions
+from vssm_gym.slam.options import SlamOptions
 
 SEGMENT = 4.0  # s
 # Label of a row -> estimated: delay of the clock, first pose

@@ -17,7 +17,8 @@ from vssm_gym.geometry.transforms import inverse
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.calibration import pose_residuals, segments
-from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.run import SlamRun, run_slam
 from vssm_gym.slam.states import POSE, VELOCITY
 
 

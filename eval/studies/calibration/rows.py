@@ -26,7 +26,7 @@ from vssm_gym.inference.registry import FILTERS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.map_building import ensure_map
-from vssm_gym.slam.run import SlamOptions
+from vssm_gym.slam.options import SlamOptions
 
 NOISES = ("low", "mid", "high")  # levels of the execution noise of robots
 WALK_METRES = 8.0  # of a walk with a hand-held camera: about 30 s, turns included

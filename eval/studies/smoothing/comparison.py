@@ -19,8 +19,9 @@ from vssm_gym.geometry.transforms import inverse
 from vssm_gym.inference.mapping.views import Views, fit_scales, held_out
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
+from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.refinement import refine
-from vssm_gym.slam.run import SlamOptions, SlamRun, run_slam
+from vssm_gym.slam.run import SlamRun, run_slam
 
 JUDGED_VIEWS = 40  # held-out images at most
 SOURCE = "study smoothing"

@@ -21,7 +21,7 @@ from vssm_gym.eval.studies.smoothing.comparison import SOURCE, compare
 from vssm_gym.eval.studies.smoothing.table import StoredRow, study_of
 from vssm_gym.eval.studies.stored_rows import stored_rows
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.run import SlamOptions
+from vssm_gym.slam.options import SlamOptions
 
 SMOOTHED_METRES = 15.0  # of a walk: about a minute, turns included
 SPEEDS = (1.0, 2.0, 3.0, 4.0)  # m/s, peak, of flights in turn

@@ -18,7 +18,7 @@ from vssm_gym.maps.cell_centres import cell_centres
 from vssm_gym.maps.voxel_map import VoxelMap
 
 WIDTH, LAYERS = 256, 5  # VSSM-LM
-GREY = 0.5  # of all channels, before anything is learned
+UNPAINTED = 0.5  # of all channels, before anything is learned
 
 
 class ColourNetwork(eqx.Module):
@@ -62,7 +62,7 @@ class ColourNetwork(eqx.Module):
                 jnp.zeros((layers, width)),
             ),
             jnp.zeros((width, 3)),
-            jnp.full(3, GREY),
+            jnp.full(3, UNPAINTED),
         )
 
     def __call__(self, p_world: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
