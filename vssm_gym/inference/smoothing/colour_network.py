@@ -17,7 +17,7 @@ from vssm_gym.maps.block_table import stored_rows
 from vssm_gym.maps.cell_centres import cell_centres
 from vssm_gym.maps.voxel_map import VoxelMap
 
-WIDTH, LAYERS = 256, 5  # VSSM-LM
+NETWORK_WIDTH, NETWORK_LAYERS = 256, 5  # VSSM-LM
 UNPAINTED = 0.5  # of all channels, before anything is learned
 
 
@@ -41,7 +41,9 @@ class ColourNetwork(eqx.Module):
     offset: Float[Array, "3"]
 
     @classmethod
-    def grey(cls, key: PRNGKeyArray, m: VoxelMap, width: int = WIDTH, layers: int = LAYERS) -> "ColourNetwork":
+    def grey(
+        cls, key: PRNGKeyArray, m: VoxelMap, width: int = NETWORK_WIDTH, layers: int = NETWORK_LAYERS
+    ) -> "ColourNetwork":
         """Return a network that paints all of a grid grey.
 
         Args:
