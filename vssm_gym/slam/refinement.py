@@ -35,7 +35,6 @@ from vssm_gym.slam.run import SlamRun
 
 MOST_NODES = 300  # frames that are smoothed: the time of an iteration grows with their square
 FEWEST_NODES = 3  # accepted frames below which nothing is smoothed
-LONGER = 4  # further iterations where a calibration is learned, whose mean is taken
 STATED_POSES = 64  # whose poses' errors the map holds
 FIRST_POSE_STD = 1e-4  # m, rad: std of the first pose, which is the world's
 
@@ -131,8 +130,6 @@ def smooth_nodes(
         jnp.asarray([_velocity(run, int(i)) for i in nodes], jnp.float32),
     )
     manifold, config = transition.manifold, SmoothingConfig(align=options.tracking.align)
-    if colour_prior is not None:
-        config = replace(config, gates=config.gates + LONGER * config.gates[-1:])
     start = at_rest(manifold, states.T_world_body[0], FIRST_POSE_STD**2 * jnp.eye(6), options.tracking.start_velocity)
     return smooth(
         jax.random.key(options.seed),

@@ -12,7 +12,7 @@ from vssm_gym.geometry.transforms import inverse, se3_exp, se3_log
 from vssm_gym.inference.alignment.residuals import AlignConfig
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.prism.config import HAND
-from vssm_gym.inference.smoothing.gauss_newton import Smoothed, SmoothingConfig, smooth
+from vssm_gym.inference.smoothing.gauss_newton import Smoothed, SmoothingConfig, mean_states, smooth
 from vssm_gym.inference.smoothing.views import stack_views
 from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.model.emission import RGBD
@@ -108,6 +108,23 @@ def test_the_same_key_gives_the_same_states():
     a, b, other = (smoothed(disturbed(), seed=seed) for seed in (0, 0, 1))
     np.testing.assert_array_equal(a.states.T_world_body, b.states.T_world_body)
     assert not np.array_equal(a.states.T_world_body, other.states.T_world_body)
+
+
+def test_the_mean_of_iterations_hardly_depends_on_what_was_drawn():
+    """With few elements: two draws differ less in the mean of six iterations than in one."""
+    apart = {}
+    for count in (1, 6):
+        config = SmoothingConfig(elements=200, averaged=count)
+        runs = [smoothed(disturbed(), seed=seed, config=config) for seed in (0, 1)]
+        apart[count] = np.linalg.norm(errors(runs[0].states) - errors(runs[1].states))
+    assert apart[6] < 0.7 * apart[1]
+
+
+def test_the_mean_of_states_on_both_sides_is_between_them():
+    xi = 0.1 * jax.random.normal(jax.random.key(0), (FRAMES, 12))
+    states = [RIGID.perturb(true_states(), side * xi) for side in (1.0, -1.0, 0.0)]
+    off = RIGID.error(true_states(), mean_states(RIGID, states))
+    np.testing.assert_allclose(off, 0.0, atol=1e-5)
 
 
 def test_bad_input_is_named():

@@ -2,8 +2,9 @@
 
 Each iteration draws new elements of the surfaces (reconstruction sampling), compares all images at them
 (:mod:`~vssm_gym.inference.smoothing.agreement`), adds the transition (:mod:`~vssm_gym.inference.smoothing.chain`), and
-solves for all poses at once. It starts from a filter's trajectory and takes each image's own information into account
-once, where the filter aligned every image to a map that the images before had written.
+solves for all poses at once. An iteration that has converged still errs by its draw, so that the last ones are averaged
+(Polyak and Juditsky, SIAM J. Control Optim. 1992). It starts from a filter's trajectory and takes each image's own
+information into account once, where the filter aligned every image to a map that the images before had written.
 """
 
 from collections.abc import Callable
@@ -26,8 +27,7 @@ from vssm_gym.inference.smoothing.views import StackedViews, draw_elements
 from vssm_gym.inference.tracking.camera_filter import camera_twists
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
-
-AVERAGED = 6  # last iterations, of whose calibrations the mean is taken
+from vssm_gym.model.transition.manifold import Manifold
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,22 @@ class SmoothingConfig:
         align: standard deviations and weights of readings and colours.
         elements: drawn in each iteration.
         gates: m, within which the planes of images may belong to one element, of each iteration.
+        averaged: last iterations of which the mean is taken.
     """
 
     align: AlignConfig = field(default_factory=AlignConfig)
     elements: int = 8000
-    gates: tuple[float, ...] = (0.1, 0.1, 0.05, 0.05, 0.05, 0.05)
+    gates: tuple[float, ...] = (0.1,) * 2 + (0.05,) * 8
+    averaged: int = 6
+
+
+class _Iteration(NamedTuple):
+    """Hold what an iteration has found."""
+
+    states: Any
+    theta: Float[np.ndarray, "shared"]  # of the calibration, its difference from the stated one
+    hessian: Float[np.ndarray, "n n"]  # of the images' cost
+    parts: Float[np.ndarray, "regions n"]  # of its gradient
 
 
 class ColourPrior(NamedTuple):
@@ -108,7 +119,7 @@ def smooth(
     if colour_prior is not None and views.colour is not None:
         prior, theta = np.asarray(colour_prior.std, np.float64) ** -2.0, colour_prior.stated.difference(views.colour)
     costs: list[float] = []
-    found_theta: list[np.ndarray] = []  # of each iteration
+    last: list[_Iteration] = []
     for k, gate in enumerate(config.gates):
         T_world_cam = manifold.pose(states) @ rig.T_body_cam
         elements = draw_elements(jax.random.fold_in(key, k), views, T_world_cam, config.elements)
@@ -129,16 +140,28 @@ def smooth(
         if colour_prior is not None and views.colour is not None:
             calibrated = views.colour.moved(change)
             views, theta = replace(views, colour=calibrated), colour_prior.stated.difference(calibrated)
-            found_theta.append(theta)
+        last = [*last, _Iteration(states, theta, hessian, parts)][-config.averaged :]
         if on_iteration:
             on_iteration(k, costs[-1])
-    errors = estimate_covariance(H, parts, known)
+    hessian, parts = (np.mean([getattr(one, name) for one in last], axis=0) for name in ("hessian", "parts"))
+    errors = estimate_covariance(hessian + known, parts, known)
+    states = mean_states(manifold, [one.states for one in last])
     found = Smoothed(states, covariances(errors[: time * p, : time * p], chain, time), costs)
     if colour_prior is None:
         return found
-    # Each iteration sees other elements: the mean of the last ones has seen them all.
-    calibrated = colour_prior.stated.moved(np.mean(found_theta[-AVERAGED:], axis=0))
+    calibrated = colour_prior.stated.moved(np.mean([one.theta for one in last], axis=0))
     return found._replace(colour=calibrated, colour_covariance=errors[time * p :, time * p :])
+
+
+def mean_states(manifold: Manifold, states: list[Any]) -> Any:
+    """Return the mean of states that are near each other, in the tangent of the last.
+
+    Args:
+        manifold: of the states.
+        states: each a pytree with leading axes.
+    """
+    errors = jnp.stack([manifold.error(states[-1], one) for one in states])
+    return manifold.perturb(states[-1], jnp.mean(errors, axis=0))
 
 
 def of_bodies(seen: NormalEquations, twists: np.ndarray, data: float, shared: int) -> tuple[np.ndarray, ...]:
