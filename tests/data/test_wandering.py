@@ -7,7 +7,7 @@ import pytest
 
 from vssm_gym.cli.record import record
 from vssm_gym.data.sequences import load_sequence
-from vssm_gym.data.wandering import Wanderer
+from vssm_gym.data.wandering import MARGINS, Wanderer
 from vssm_gym.envs.robots.registry import ROBOTS
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.scenes.scene import load_scene
@@ -16,12 +16,16 @@ from vssm_gym.errors import InputError
 STEPS = 1500
 
 
-def driven(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def free_space() -> FreeSpace:
+    robot = ROBOTS["holonomic"]()
+    return FreeSpace.from_apartment(load_scene("reed"), robot.radius, robot.height)
+
+
+def driven(seed: int = 0, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return commands, places, and which places are free, of a robot that does what it is told."""
-    apartment, robot = load_scene("reed"), ROBOTS["holonomic"]()
-    space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
-    centre = np.asarray(space.largest.representative_point().coords[0])
-    wanderer, planar = Wanderer(apartment, robot, seed), np.array([*centre, 0.3])
+    space, robot = free_space(), ROBOTS["holonomic"]()
+    centre = np.asarray(space.largest.representative_point().coords[0]) if start is None else start
+    wanderer, planar = Wanderer(load_scene("reed"), robot, seed), np.array([*centre, 0.3])
     commands, places = [], []
     for _ in range(STEPS):
         turn, direction, step = command = wanderer(planar)
@@ -51,6 +55,18 @@ def test_the_robot_stays_in_free_space_and_does_not_stay_in_place(drive):
     _, places, free = drive
     assert free.all()
     assert np.ptp(places, axis=0).max() > 2.0
+
+
+def test_a_start_without_room_is_left():
+    """Starts in niches and doorways, which no place with a margin reaches, are not where the drive ends."""
+    space = free_space()
+    drawn = space.sample(np.random.default_rng(0), 400)
+    narrow = drawn[~space.widened(MARGINS[0]).contains(drawn)]
+    assert len(narrow) > 20
+    for seed, start in enumerate(narrow[:6]):
+        _, places, free = driven(seed, start)
+        assert free.all()
+        assert np.ptp(places, axis=0).max() > 0.5
 
 
 def test_the_same_seed_drives_the_same(drive):

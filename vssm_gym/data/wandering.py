@@ -31,7 +31,8 @@ class Wanderer:
 
     def __init__(self, apartment: Apartment, robot: Robot, seed: int) -> None:
         self._limits = robot.limits
-        self._space = _roomy(FreeSpace.from_apartment(apartment, robot.radius, robot.height))
+        self._free = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
+        self._space = _roomy(self._free)
         self._rng = np.random.default_rng(seed)
         self._command, self._left = np.zeros(3), 0
 
@@ -60,12 +61,20 @@ class Wanderer:
         )
 
     def _is_free(self, planar: np.ndarray, command: np.ndarray) -> bool:
-        """Return whether the robot has room in the direction of a command."""
+        """Return whether the robot has room in the direction of a command, or gets to where it has room."""
         if not command[2]:
             return True
         angle = planar[2] + command[1]
         ahead = np.arange(1, LOOK_AHEAD + 1)[:, None] * command[2] * np.array([np.cos(angle), np.sin(angle)])
-        return bool(self._space.contains(planar[:2] + ahead).all())
+        here, there = planar[:2], planar[:2] + ahead
+        if self._space.contains(here):
+            return bool(self._space.contains(there).all())
+        gets_nearer = self._missing(there[-1]) < self._missing(here)
+        return bool(gets_nearer and (self._free.contains(there).all() or not self._free.contains(here)))
+
+    def _missing(self, xy: np.ndarray) -> float:
+        """Return the distance of a place to the nearest one with room, m."""
+        return float(np.linalg.norm(self._space.nearest(xy) - xy))
 
 
 def _roomy(space: FreeSpace) -> FreeSpace:
