@@ -270,7 +270,7 @@ def test_inputs_are_refused_before_anything_runs(recorded, monkeypatch, capsys, 
         code, _, errors = run(monkeypatch, capsys, *arguments, "--out", tmp_path / "out")
         assert code == 2, arguments
         assert expected in errors
-        assert errors.count("\n") == 1
+        assert errors.count("error:") == 1
     assert not list(tmp_path.glob("out/prediction*"))
 
 

@@ -28,9 +28,9 @@ from vssm_gym.model.transition.base import Transition
 from vssm_gym.training.dynamics.windows import evenly_spread
 
 STAMP_TOLERANCE = 0.005  # s between the end of a step and its image
-COMPARED = 12  # images by which the frame of a map is checked
-NEAR, NEAR_SHARE = 0.2, 0.1  # m, or a share of the depth: a surface is where the map shows it
-AGREEING, SHOWN = 0.5, 0.1  # least shares of readings: near what the map shows, and shown by it at all
+CHECKED_IMAGES = 12  # images by which the frame of a map is checked
+MAP_NEAR, MAP_NEAR_SHARE = 0.2, 0.1  # m, or a share of the depth: a surface is where the map shows it
+LEAST_AGREEING, LEAST_SHOWN = 0.5, 0.1  # least shares of readings: near what the map shows, and shown by it at all
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _nearest(times: np.ndarray, wanted: np.ndarray) -> Int[np.ndarray, "windows 
 def _agreement(sights: Sights, sequence: Sequence, map_file: Path) -> float:
     """Return the share of readings that lie near what the map shows from the true poses; raise where it is low."""
     scored = np.unique(sights.frames[sights.frames >= 0])
-    chosen = scored[evenly_spread(len(scored), COMPARED)]
+    chosen = scored[evenly_spread(len(scored), CHECKED_IMAGES)]
     poses = sequence.true_poses()
     counts = np.zeros(3)
     for frame in chosen:
@@ -106,10 +106,10 @@ def _agreement(sights: Sights, sequence: Sequence, map_file: Path) -> float:
         counts += np.asarray(_near(image, shown), float)
     readings, visible, near = counts
     share, agreeing = visible / max(readings, 1.0), near / max(visible, 1.0)
-    if share < SHOWN or agreeing < AGREEING:
+    if share < LEAST_SHOWN or agreeing < LEAST_AGREEING:
         expected = f"a map in the world frame of {sequence.root}: from its true poses the map shows a surface for"
-        found = f"{share:.0%} of the readings (least {SHOWN:.0%}), of which {agreeing:.0%} are near it"
-        raise InputError(map_file, "frame", f"{expected} {found} (least {AGREEING:.0%})")
+        found = f"{share:.0%} of the readings (least {LEAST_SHOWN:.0%}), of which {agreeing:.0%} are near it"
+        raise InputError(map_file, "frame", f"{expected} {found} (least {LEAST_AGREEING:.0%})")
     return float(agreeing)
 
 
@@ -118,7 +118,7 @@ def _near(image: RGBD, shown: RGBD) -> Float[Array, "3"]:
     """Count readings, those for which the map shows a surface, and those that are near it."""
     read = has_reading(image)
     visible = read & shown.hit & shown.known
-    near = jnp.abs(image.depth - shown.depth) <= jnp.maximum(NEAR, NEAR_SHARE * image.depth)
+    near = jnp.abs(image.depth - shown.depth) <= jnp.maximum(MAP_NEAR, MAP_NEAR_SHARE * image.depth)
     return jnp.stack([jnp.sum(read), jnp.sum(visible), jnp.sum(visible & near)])
 
 
