@@ -62,6 +62,10 @@ ALLOWED["data.recording"] = BASE | {
 }
 ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
 ALLOWED["viz"] = BASE | {"maps", "model.emission"}
+# What is measured of learned transitions is measured by `eval` too: this folder knows nothing of policies
+ALLOWED["training.dynamics"] = ALLOWED["inference"] | {"data.dynamics"}
+for _module in ("eval", "training", "cli"):
+    ALLOWED[_module] |= {"training.dynamics"}
 for _module in ("slam", "eval", "training", "cli"):
     ALLOWED[_module] |= {
         "__init__",

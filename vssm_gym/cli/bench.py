@@ -7,6 +7,7 @@ import tyro
 
 from vssm_gym.cli.shared.console import literal_console, say
 from vssm_gym.cli.shared.interruption import interruptible
+from vssm_gym.cli.shared.predictions import check_log, show_prediction
 
 Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "prediction", "tracker", "drift", "slam"]
 DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40, "prediction": 8}
@@ -18,13 +19,16 @@ DEFAULT_SCENE = {"car": "arena"}  # the others: oak
 @interruptible("maps/*.npz")
 def bench(
     suite: Annotated[Suite, tyro.conf.Positional] = "speed",
-    sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SEQUENCE")] = None,
+    sequence: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None,
     scene: str | None = None,
     out: Path = Path("out/bench"),
     trials: Annotated[int | None, tyro.conf.arg(aliases=("--runs",))] = None,
     split: Literal["train", "test"] = "train",
     workers: int = 2,
     seed: int = 0,
+    transition: Path | None = None,
+    map: Path | None = None,
+    fit: tuple[Path, ...] = (),
 ) -> None:
     """Measure speed and accuracy on this machine, one suite at a time.
 
@@ -36,14 +40,15 @@ def bench(
     `car` measures value iteration, each controller in closed loop, hybrid A* and both simulators of the robot car.
     `information` measures an explorer's imagined step and its ranking of candidates against all pixels and against the
     true images. `prediction` scores images and poses 1 s and 3 s ahead, of the world model and of baselines, in learned
-    maps of a split's apartments. `tracker` drives 100 steps at a time along the true pose and prints the tracker's
-    location RMSE. `drift` chains goals over 100 m and compares the map tracker, frame-to-frame alignment and dead
-    reckoning on the same images. `slam` runs SEQUENCE at 160x120 and 320x240 and compares time and error with Open3D's
-    dense SLAM, where it is installed.
+    maps of a split's apartments; `prediction LOG --transition FILE.npz` predicts a recorded motion 10, 30 and 100 steps
+    ahead by a learned transition and by plain integration, and with `--map` its images too. `tracker` drives 100 steps
+    at a time along the true pose and prints the tracker's location RMSE. `drift` chains goals over 100 m and compares
+    the map tracker, frame-to-frame alignment and dead reckoning on the same images. `slam` runs LOG at 160x120 and
+    320x240 and compares time and error with Open3D's dense SLAM, where it is installed.
 
     Args:
         suite: the suite to run.
-        sequence: TUM folder, for `slam` only.
+        sequence: TUM folder, for `slam`; for `prediction`, a log that `train-dynamics` reads.
         scene: built-in name or path of a scene file; by default `oak`, for `car` `arena`.
         out: folder for the learned map, which is kept, and for the results as JSON; it may hold other suites' results.
         trials: number of drives (`tracker` 300, `prediction` 8, `drift` 4), runs (`slam` 1), steps (`soak` 100000, `rl`
@@ -51,12 +56,15 @@ def bench(
         split: scenes and seeds of `prediction`: to tune on (train) or to judge on (test).
         workers: number of processes of `tracker` and `drift`.
         seed: seed of the drives.
+        transition: learned transition (.npz) of `train-dynamics`, for `prediction LOG`.
+        map: map (.npz) of `map build` in the world frame of LOG, for `prediction LOG`.
+        fit: logs that the noise of plain integration is fitted to, for `prediction LOG`: those that the transition was
+            learned from. Without them it is fitted to the first third of LOG, and the rest is judged.
     """
     import json
 
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
-    from vssm_gym.errors import InputError
     from vssm_gym.eval.sweep.config import DEFAULT_VOXEL
     from vssm_gym.files.atomic import atomic_write
     from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, check_new_file, owned_folder
@@ -69,11 +77,11 @@ def bench(
     for field, value, least in (("trials", count, 1), ("workers", workers, 1), ("seed", seed, 0)):
         check_at_least("bench", field, value, least)
     check_folder(out)
-    if (sequence is not None) != (suite == "slam"):
-        raise InputError("bench", "SEQUENCE", "a TUM folder after `bench slam`, and nothing after other suites")
-    recording = None if sequence is None else load_sequence(sequence)
+    ahead = suite == "prediction" and sequence is not None
+    check_log(suite, sequence, {"transition": transition, "map": map, "fit": fit or None})
+    recording = load_sequence(sequence) if sequence is not None and suite == "slam" else None
     measured = "all" if suite == "soak" else Path(scene if sequence is None else sequence.resolve()).stem
-    measured = split if suite == "prediction" else measured
+    measured = split if suite == "prediction" and not ahead else measured
     path = out / f"{suite}-{measured}.json"
     owner = Owner("bench", "bench.json", {"version": package_version()}, identity=())
     with owned_folder(out, owner):
@@ -101,6 +109,13 @@ def bench(
 
                 check_at_least("bench", "trials", count, FEWEST_CANDIDATES)
                 result = measure_information(scene=scene, candidates=count, seed=seed, on_progress=progress)
+            elif ahead:
+                from vssm_gym.eval.bench.prediction.ahead.measure import measure_ahead
+
+                assert sequence is not None
+                assert transition is not None
+                predicted = measure_ahead(sequence, transition, map_file=map, fit=fit, seed=seed, on_progress=progress)
+                result = predicted.result
             elif suite == "prediction":
                 from vssm_gym.eval.bench.prediction.measure import measure as measure_prediction
 
@@ -112,7 +127,11 @@ def bench(
         _show(suite, result, literal_console())  # before it is written: a full disk costs the file alone
         with atomic_write(path) as temporary:
             temporary.write_text(json.dumps(result | {"version": package_version(), "seed": seed}, indent=1) + "\n")
-        if suite == "prediction":
+        if ahead:
+            from vssm_gym.eval.bench.prediction.ahead.page import write_ahead
+
+            say(write_ahead(predicted, path, package_version()))
+        elif suite == "prediction":
             from vssm_gym.eval.bench.prediction.page import write_page
 
             say(write_page(result, path, package_version()))
@@ -140,7 +159,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
     from rich.table import Table
 
     if suite == "prediction":
-        _show_prediction(Table(title=f"bench prediction: {result['setting']['split']}"), result, console)
+        show_prediction(
+            Table(title=f"bench prediction: {result.get('log') or result['setting']['split']}"), result, console
+        )
         return
     table = Table(title=f"bench {suite}: {result['scene']}")
     if suite == "speed":
@@ -271,26 +292,6 @@ def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
         "map: images in it. rank: against all pixels and cells, and against the true images. ratio: to the latter"
     )
     console.print(f"recompilations for other candidates: {result['recompilations']}")
-    console.print(f"machine: {result['machine']}")
-
-
-def _show_prediction(table: Any, result: dict[str, Any], console: Any) -> None:
-    """Fill the table with one row for each model and horizon; print the best models and what was fitted below."""
-    from vssm_gym.eval.bench.prediction.page import HEADER, PAGE_ONLY, answer, line_of
-
-    lines = [line_of(row) for row in result["rows"]]
-    shown = [index for index, name in enumerate(HEADER) if name not in PAGE_ONLY]  # a terminal has no room for all
-    for index in shown:
-        whole = HEADER[index] in ("model", "nats a pixel", "PIT holds for")
-        table.add_column(HEADER[index], no_wrap=whole, justify="right" if index else "left")
-    for line in lines:
-        table.add_row(*(line[index] for index in shown))
-    console.print(table)
-    console.print(answer(result["rows"]), soft_wrap=True)
-    for name, values in (result["fitted"] or {}).items():
-        numbers = values.items() if isinstance(values, dict) else enumerate(values)
-        written = ", ".join(f"{of} {value:.4g}" for of, value in numbers)
-        console.print(f"fitted, {name}: {written}", soft_wrap=True)
     console.print(f"machine: {result['machine']}")
 
 

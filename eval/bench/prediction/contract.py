@@ -16,18 +16,11 @@ from vssm_gym.model.emission_density import ImageLogProb
 
 
 @runtime_checkable
-class Prediction(Protocol):
-    """Describe the predictive distribution of one image, pixel by pixel, and of the pose from which it is taken.
+class ImagePrediction(Protocol):
+    """Describe the predictive distribution of one image, pixel by pixel.
 
     A pixel has no reading, or a depth in ``(0, MAX_DEPTH]`` m and a colour in ``[0, 1]^3``.
     """
-
-    @property
-    def poses(self) -> Float[Array, "samples 3"]:
-        """Return samples of the pose, ``(x, y, heading)`` in the world, m and rad; a hundred at least."""
-
-    def pose_log_prob(self, planar: Float[Array, "3"]) -> Float[Array, ""]:
-        """Return the log density of a pose, with respect to metres along both axes times the angle in rad."""
 
     def image_log_prob(self, image: RGBD) -> ImageLogProb:
         """Return the log density of each pixel, nats: of the reading or its absence, and of colour given a reading."""
@@ -37,6 +30,18 @@ class Prediction(Protocol):
 
     def rgb_cdf(self, rgb: Float[Array, "*batch height width 3"]) -> Float[Array, "*batch height width 3"]:
         """Return the probability of a channel of at most this, given a reading, by pixel and channel."""
+
+
+@runtime_checkable
+class Prediction(ImagePrediction, Protocol):
+    """Describe the predictive distribution of one image, and of the pose from which it is taken."""
+
+    @property
+    def poses(self) -> Float[Array, "samples 3"]:
+        """Return samples of the pose, ``(x, y, heading)`` in the world, m and rad; a hundred at least."""
+
+    def pose_log_prob(self, planar: Float[Array, "3"]) -> Float[Array, ""]:
+        """Return the log density of a pose, with respect to metres along both axes times the angle in rad."""
 
 
 @runtime_checkable

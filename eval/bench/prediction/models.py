@@ -96,7 +96,7 @@ class VssmLm:
         controls = jnp.asarray(commands, jnp.float32)
         poses, ahead = _futures(spatial, self._body.belief, controls, context.dt, key)
         seen_from = poses[:IMAGE_SAMPLES] if self.sampled else ahead.mean[None]
-        images, depth_std, rgb_std = _images(spatial, seen_from)
+        images, depth_std, rgb_std = map_images(spatial, seen_from)
         return SampledPrediction(images, self.scales, poses, ahead, depth_std, rgb_std)
 
 
@@ -111,15 +111,20 @@ def _futures(
 
 
 @eqx.filter_jit
-def _images(spatial: SpatialModel, poses: Array) -> tuple[RGBD, Array, Array]:
-    """Render the map's mean from each pose, with the map's standard deviations."""
+def map_images(spatial: SpatialModel, states: Any) -> tuple[RGBD, Array, Array]:
+    """Render the map's mean from each state, with the map's standard deviations of depth (m) and colour.
 
-    def one(pose: Array) -> tuple[RGBD, Array, Array]:
-        image = spatial.image(spatial.m, pose)
-        T_world_cam = spatial.transition.manifold.pose(pose) @ spatial.T_body_cam
+    Args:
+        spatial: map, camera and its place on the body.
+        states: of the transition's manifold, leading axis.
+    """
+
+    def one(state: Any) -> tuple[RGBD, Array, Array]:
+        image = spatial.image(spatial.m, state)
+        T_world_cam = spatial.transition.manifold.pose(state) @ spatial.T_body_cam
         return image, *image_std(spatial.m, T_world_cam, spatial.camera, image, spatial.measurement_noise)
 
-    return jax.lax.map(one, poses)
+    return jax.lax.map(one, states)
 
 
 @dataclass

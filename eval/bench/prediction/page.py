@@ -29,6 +29,7 @@ HEADER = (
     "CRPS heading, deg",
 )
 PAGE_ONLY = ("depth", "colour", "pose, nats", "CRPS location, cm", "CRPS heading, deg")
+WHOLE = ("model", "nats a pixel", "PIT holds for")  # columns that are not wrapped
 PIT_NAMES = {"depth": "depth", "rgb": "colour", "pose": "pose"}
 NOTES = (
     "Each model follows a drive up to some time, is given the commands of the next seconds, and states the "
@@ -63,9 +64,14 @@ def line_of(row: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def answer(rows: Sequence[Mapping[str, Any]]) -> str:
+def shown(result: Mapping[str, Any]) -> Sequence[int]:
+    """Return the columns that a terminal has room for."""
+    return [index for index, name in enumerate(HEADER) if name not in PAGE_ONLY]
+
+
+def answer(result: Mapping[str, Any]) -> str:
     """Name the best model of each horizon, and say where its distribution of depth is calibrated."""
-    said = []
+    said, rows = [], result["rows"]
     for seconds in sorted({row["seconds"] for row in rows}):
         best = max((row for row in rows if row["seconds"] == seconds), key=lambda row: row["nats"]["mean"])
         held = [PIT_NAMES[name] for name, holds in best["calibrated"].items() if holds]
@@ -84,7 +90,7 @@ def write_page(result: Mapping[str, Any], stem: Path, version: str) -> Path:
     page = render(
         "prediction.html.j2",
         question=QUESTION,
-        answer=answer(result["rows"]),
+        answer=answer(result),
         picture=svg_image(picture),
         table=Table(HEADER, [line_of(row) for row in result["rows"]], 1),
         notes=NOTES,

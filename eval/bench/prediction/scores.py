@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from vssm_gym.eval.bench.prediction.contract import Prediction
+from vssm_gym.eval.bench.prediction.contract import ImagePrediction, Prediction
 from vssm_gym.geometry.camera import MAX_DEPTH
 from vssm_gym.model.emission import RGBD
 from vssm_gym.model.emission_density import has_reading
@@ -20,8 +20,8 @@ BAND = (0.025, 0.975)  # central 95 % band
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Hold the scores of one prediction.
+class ImageScores:
+    """Hold the scores of one predicted image.
 
     Attributes:
         depth_nats: log density of the reading's depth or absence, of every pixel.
@@ -30,10 +30,6 @@ class Scores:
         rgb_crps: mean over the channels, of the same pixels.
         depth_pit: of the same pixels.
         rgb_pit: of the same pixels and each channel, flat.
-        pose_nats: log density of the true pose.
-        location_crps: mean over forward and left, m.
-        heading_crps: rad.
-        pose_pit: of forward, left and turn.
     """
 
     depth_nats: Float[np.ndarray, "pixels"]
@@ -42,6 +38,19 @@ class Scores:
     rgb_crps: Float[np.ndarray, "readings"]
     depth_pit: Float[np.ndarray, "readings"]
     rgb_pit: Float[np.ndarray, "values"]
+
+
+@dataclass(frozen=True)
+class Scores(ImageScores):
+    """Hold the scores of one prediction of image and pose.
+
+    Attributes:
+        pose_nats: log density of the true pose.
+        location_crps: mean over forward and left, m.
+        heading_crps: rad.
+        pose_pit: of forward, left and turn.
+    """
+
     pose_nats: float
     location_crps: float
     heading_crps: float
@@ -57,25 +66,39 @@ def score(prediction: Prediction, image: RGBD, planar: Float[np.ndarray, "3"], r
         planar: true ``(x, y, heading)``, m and rad.
         rng: of the randomised PIT of colour, whose values are integers.
     """
+    of_image = score_image(prediction, image, rng)
+    errors, truth = _pose_errors(prediction.poses, jnp.asarray(planar, jnp.float32))
+    pose_crps = [sample_crps(errors[:, axis], truth[axis]) for axis in range(3)]
+    return Scores(
+        **vars(of_image),
+        pose_nats=float(prediction.pose_log_prob(jnp.asarray(planar, jnp.float32))),
+        location_crps=float(np.mean(pose_crps[:2])),
+        heading_crps=pose_crps[2],
+        pose_pit=(np.sum(errors < truth, axis=0) + rng.random(3)) / (len(errors) + 1),
+    )
+
+
+def score_image(prediction: ImagePrediction, image: RGBD, rng: np.random.Generator) -> ImageScores:
+    """Score the image of a prediction alone, whatever its poses are.
+
+    Args:
+        prediction: of the image.
+        image: taken by the camera that the prediction is for.
+        rng: of the randomised PIT of colour, whose values are integers.
+    """
     log_p = prediction.image_log_prob(image)
     read = np.asarray(has_reading(image))
     depth_crps = crps(prediction.depth_cdf, image.depth, MAX_DEPTH)
     rgb_crps = crps(prediction.rgb_cdf, image.rgb, 1.0)
     below, above = (prediction.rgb_cdf(image.rgb + sign * GREY_LEVEL / 2) for sign in (-1, 1))
     low, high = np.asarray(below, float)[read], np.asarray(above, float)[read]
-    errors, truth = _pose_errors(prediction.poses, jnp.asarray(planar, jnp.float32))
-    pose_crps = [sample_crps(errors[:, axis], truth[axis]) for axis in range(3)]
-    return Scores(
+    return ImageScores(
         depth_nats=np.asarray(log_p.depth, float).ravel(),
         rgb_nats=np.asarray(log_p.rgb, float).ravel(),
         depth_crps=np.asarray(depth_crps, float)[read],
         rgb_crps=np.asarray(rgb_crps, float).mean(-1)[read],
         depth_pit=np.asarray(prediction.depth_cdf(image.depth), float)[read],
         rgb_pit=(low + rng.random(low.shape) * (high - low)).ravel(),
-        pose_nats=float(prediction.pose_log_prob(jnp.asarray(planar, jnp.float32))),
-        location_crps=float(np.mean(pose_crps[:2])),
-        heading_crps=pose_crps[2],
-        pose_pit=(np.sum(errors < truth, axis=0) + rng.random(3)) / (len(errors) + 1),
     )
 
 

@@ -92,7 +92,7 @@ def test_a_model_of_another_kind_is_scored(given) -> None:
     row = row_of(model.name, 3.0, [found[3.0]])
     assert len(line_of(row)) == len(HEADER)
     assert row["nats"]["low"] is None  # one drive has no interval
-    assert "dead reckoning in the true room is best" in answer([row])
+    assert "dead reckoning in the true room is best" in answer({"rows": [row]})
 
 
 def test_the_fitted_motion_is_that_of_the_drive(given) -> None:

@@ -143,6 +143,16 @@ MAPPING = (
         ("tests/eval/bench/test_prediction_mixture.py::test_distribution_functions_are_conditional_on_a_reading",),
     ),
     Mutant(
+        "density-of-a-pose-in-units-of-its-spread",
+        "eval/bench/prediction/ahead/states.py",
+        "correlation) - jnp.sum(jnp.log(stds), axis=-1)",
+        "correlation)",
+        (
+            "tests/eval/bench/test_prediction_ahead.py"
+            "::test_the_density_of_a_pose_is_that_of_the_gaussian_in_the_tangent",
+        ),
+    ),
+    Mutant(
         "predicted-images-with-the-variance-of-a-normal",
         "vssm_gym/model/predictive.py",
         "2.0 * scales.depth_at(depth) ** 2",

@@ -67,12 +67,14 @@ class Steps:
         T_world_body: measured poses.
         velocity: linear (m/s) and angular (rad/s), world frame.
         controls: ``controls[k]`` leads from pose ``k`` to ``k + 1``.
+        begin: s, stamp of the first pose.
     """
 
     dt: float
     T_world_body: Float[np.ndarray, "time 4 4"]
     velocity: Float[np.ndarray, "time 6"]
     controls: Float[np.ndarray, "steps c"] = field(default_factory=lambda: np.zeros((0, 0)))
+    begin: float = 0.0
 
     def __len__(self) -> int:
         """Return the number of steps."""
@@ -80,8 +82,8 @@ class Steps:
 
     def part(self, first: int, last: int) -> "Steps":
         """Return steps ``first`` to ``last``, exclusive."""
-        poses = slice(first, last + 1)
-        return Steps(self.dt, self.T_world_body[poses], self.velocity[poses], self.controls[first:last])
+        poses, begin = slice(first, last + 1), self.begin + first * self.dt
+        return Steps(self.dt, self.T_world_body[poses], self.velocity[poses], self.controls[first:last], begin)
 
 
 def measured_velocity(times: np.ndarray, T_world_body: np.ndarray) -> Float[np.ndarray, "n 6"]:
@@ -142,6 +144,7 @@ def cut(log: DynamicsLog, step: float | None = None, offset: float = 0.0) -> Ste
         interpolate(log.times, log.T_world_body, at),
         np.stack([np.interp(at, log.times, velocity[:, k]) for k in range(6)], axis=1),
         controls,
+        float(begin),
     )
 
 
@@ -153,4 +156,5 @@ def _commanded(log: DynamicsLog) -> Steps:
     found = np.searchsorted(log.control_times, log.times[1:] - 0.5 * dt)
     if found[-1] >= len(log.controls) or np.abs(log.control_times[found] - log.times[1:]).max() > 0.5 * dt:
         raise InputError(log.source, "control_times", "a command for each step between two poses")
-    return Steps(dt, log.T_world_body, measured_velocity(log.times, log.T_world_body), log.controls[found])
+    velocity = measured_velocity(log.times, log.T_world_body)
+    return Steps(dt, log.T_world_body, velocity, log.controls[found], float(log.times[0]))

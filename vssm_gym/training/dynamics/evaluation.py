@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.geometry.transforms import inverse, se3_log
-from vssm_gym.model.predictive import envelope, inside
+from vssm_gym.model.predictive import Envelope, envelope, inside
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.learned import LearnedTransition
+from vssm_gym.model.transition.manifold import Manifold
 from vssm_gym.training.dynamics.baselines import predict
 from vssm_gym.training.dynamics.windows import SMALLEST_ERROR, Windows
 
@@ -67,18 +68,57 @@ def path_errors(transition: Transition, data: Windows, dt: float) -> PathErrors:
 
 
 @eqx.filter_jit
-def _covered(
-    transition: LearnedTransition, start: Any, controls: Any, after: Any, noise: Any, key: PRNGKeyArray, dt: float
-) -> tuple[Array, Array]:
+def futures(
+    transition: LearnedTransition,
+    start: Any,
+    controls: Float[Array, "time m"],
+    noise: tuple[float, float],
+    key: PRNGKeyArray,
+    dt: float,
+    paths: int = PATHS,
+) -> tuple[Any, Any]:
+    """Draw futures of the body from a measured state, and what would be measured of them.
+
+    Args:
+        transition: that predicts, with a rest drawn from its prior.
+        start: one measured state of the nominal transition.
+        controls: of every step.
+        noise: standard deviations of measured positions (m) and rotations (rad): of the start, and of each later pose.
+        key: random key.
+        dt: length of a step, s.
+        paths: number of futures.
+
+    Returns:
+        States of the nominal transition after each control, and the same as measured; axes ``(paths, time, ...)``.
+    """
     manifold = transition.nominal.manifold
     n, p = len(manifold.turns), manifold.twists.shape[1]
     stds = jnp.zeros(n).at[:p].set(jnp.where(manifold.turns[:p], noise[1], noise[0]))
     by_start, by_path, by_pose = jax.random.split(key, 3)
-    states = transition.extend(GaussianBelief(start, jnp.diag(stds**2), manifold)).sample(by_start, PATHS)
-    paths = transition.sample_paths(by_path, states, controls, dt).body
-    measured = manifold.perturb(paths, jax.random.normal(by_pose, (PATHS, len(controls), n)) * stds)
+    states = transition.extend(GaussianBelief(start, jnp.diag(stds**2), manifold)).sample(by_start, paths)
+    drawn = transition.sample_paths(by_path, states, controls, dt).body
+    return drawn, manifold.perturb(drawn, jax.random.normal(by_pose, (paths, len(controls), n)) * stds)
+
+
+def pose_envelopes(manifold: Manifold, measured: Any) -> tuple[Envelope, Envelope]:
+    """Return the envelopes of 95 % of measured futures at every step: of the position, and of the whole pose.
+
+    Args:
+        manifold: of the states.
+        measured: of :func:`futures`, axes ``(paths, time, ...)``.
+    """
+    p = manifold.twists.shape[1]
     places = p - int(manifold.turns[:p].sum())
-    position, pose = (inside(manifold, envelope(manifold, measured, ENVELOPE, k), after) for k in (places, p))
+    return envelope(manifold, measured, ENVELOPE, places), envelope(manifold, measured, ENVELOPE, p)
+
+
+@eqx.filter_jit
+def _covered(
+    transition: LearnedTransition, start: Any, controls: Any, after: Any, noise: Any, key: PRNGKeyArray, dt: float
+) -> tuple[Array, Array]:
+    manifold = transition.nominal.manifold
+    _, measured = futures(transition, start, controls, noise, key, dt)
+    position, pose = (inside(manifold, region, after) for region in pose_envelopes(manifold, measured))
     return position, pose
 
 

@@ -25,7 +25,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.training.dynamics.evaluation import coverage
 from vssm_gym.training.dynamics.inverse_emission import new_inverse_emission
 from vssm_gym.training.dynamics.objective import ELBO_WEIGHT, Model, Predictions, elbo, predictions
-from vssm_gym.training.dynamics.windows import Windows, measure_scales
+from vssm_gym.training.dynamics.windows import Windows, evenly_spread, measure_scales
 
 FIRST_LOG_STD = -5.0  # of measured poses: 7 mm and 7 mrad, as of motion capture
 # Shares of the horizon and of the updates: short windows first, since the gradient of a long path through a bad model
@@ -139,7 +139,7 @@ def fit(
     models = [_new_model(jax.random.fold_in(key, k), nominal, scales, data) for k in range(len(folds.seen))]
     form, trained = models[0], jax.tree.map(lambda *a: jnp.stack(a), *map(_trained, models))
     seen = jnp.asarray(folds.seen)
-    some = [held[_spread(len(held), HELD_WINDOWS)] for held in folds.held]
+    some = [held[evenly_spread(len(held), HELD_WINDOWS)] for held in folds.held]
     most = max(map(len, some))
     judged = data.take(np.stack([np.resize(held, most) for held in some]))
     stds = _bias_stds(nominal, scales)
@@ -206,7 +206,7 @@ def calibrate(
         dt: length of a step, s.
         noise: standard deviations of measured positions (m) and rotations (rad).
     """
-    some = [windows.take(_spread(len(windows), CALIBRATED_ON)) for windows in held]
+    some = [windows.take(evenly_spread(len(windows), CALIBRATED_ON)) for windows in held]
     low, high = 0, len(GAINS) - 1  # coverage grows with the gain: bisection
     while low < high:
         middle = (low + high) // 2
@@ -236,7 +236,7 @@ def calibrate_together(
     whole = together(members)
     if whole.members == 1:
         return whole, 1.0
-    some = seen.take(_spread(len(seen), CALIBRATED_ON))
+    some = seen.take(evenly_spread(len(seen), CALIBRATED_ON))
     low, high = 0, len(SPREAD_FACTORS) - 1
     while low < high:
         middle = (low + high) // 2
@@ -356,8 +356,3 @@ def _share(progress: float) -> float:
         if progress <= until:
             return horizon
     return 1.0
-
-
-def _spread(count: int, most: int) -> np.ndarray:
-    """Return at most ``most`` of ``count`` indices, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))

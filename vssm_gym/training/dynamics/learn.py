@@ -29,7 +29,7 @@ from vssm_gym.progress import OnProgress
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
 from vssm_gym.training.dynamics.evaluation import coverage, path_errors, step_likelihood
 from vssm_gym.training.dynamics.fit import FitConfig, Fitted, Folds, fit
-from vssm_gym.training.dynamics.windows import Windows, windows
+from vssm_gym.training.dynamics.windows import Windows, evenly_spread, windows
 
 PHASES = 10  # cuts of a log that begin at other times within a step: as many windows of the same motion
 FEWEST_HELD = 10  # steps of a block at least
@@ -235,7 +235,7 @@ def compare(
 
 def spread_over(data: Windows, most: int) -> Windows:
     """Return at most so many of the windows, evenly spread."""
-    return data.take(np.unique(np.linspace(0, len(data) - 1, min(len(data), most)).round().astype(int)))
+    return data.take(evenly_spread(len(data), most))
 
 
 def _coverage(held: Float[np.ndarray, "2 time"], at: dict[str, int]) -> dict[str, dict[str, float]]:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from vssm_gym.data.dynamics.log import Steps
 from vssm_gym.geometry.transforms import matrix_to_planar
@@ -63,6 +63,11 @@ def windows(parts: list[Steps], manifold: Manifold, length: int, stride: int = 1
         controls = jnp.asarray(steps.controls[at[:, :-1]], jnp.float32)
         cut.append(Windows(jax.tree.map(lambda a: a[at], states), controls))
     return jax.tree.map(lambda *a: jnp.concatenate(a), *cut)
+
+
+def evenly_spread(count: int, most: int) -> Int[np.ndarray, "chosen"]:
+    """Return at most ``most`` of ``count`` indices, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def measure_scales(nominal: Transition, data: Windows, dt: float) -> Scales:
