@@ -32,7 +32,7 @@ from vssm_gym.model.transition.learned_file import TransitionFile, calibrated, l
 from vssm_gym.model.transition.manifold import RigidState
 from vssm_gym.slam.map_building import map_from_frames
 from vssm_gym.training.dynamics import fit
-from vssm_gym.training.dynamics.fit import with_gain
+from vssm_gym.training.dynamics.calibration import with_gain
 from vssm_gym.training.dynamics.windows import Windows
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")

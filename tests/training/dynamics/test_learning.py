@@ -17,11 +17,12 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix
 from vssm_gym.model.transition import PLANAR, RIGID, Bicycle, GaussianBelief, Imu
 from vssm_gym.model.transition.learned_file import NOMINALS, load_transition
-from vssm_gym.training.dynamics import fit as fit_module
+from vssm_gym.training.dynamics import calibration as calibration_module
 from vssm_gym.training.dynamics import learn as learn_module
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
+from vssm_gym.training.dynamics.calibration import GAINS, HELD_SHARE, calibrate, calibrate_together, with_gain
 from vssm_gym.training.dynamics.evaluation import WINDOWS_AT_ONCE, coverage, path_errors, step_likelihood
-from vssm_gym.training.dynamics.fit import GAINS, HELD_SHARE, FitConfig, calibrate, calibrate_together, fit, with_gain
+from vssm_gym.training.dynamics.fit import FitConfig, fit
 from vssm_gym.training.dynamics.learn import GAP, LearnConfig, folded, learn
 from vssm_gym.training.dynamics.windows import Windows, windows
 
@@ -40,7 +41,7 @@ def parts():
 @pytest.fixture(autouse=True)
 def few_windows(monkeypatch):
     """Sample fewer futures: each window takes a tenth of a second, and most of a test's time otherwise."""
-    monkeypatch.setattr(fit_module, "CALIBRATED_ON", 12)
+    monkeypatch.setattr(calibration_module, "CALIBRATED_ON", 12)
     monkeypatch.setattr(learn_module, "COVERED_WINDOWS", 8)
 
 
@@ -127,6 +128,15 @@ def test_no_network_has_seen_a_step_that_it_is_judged_on():
     held = np.concatenate(folds.held)
     assert len(np.unique(held)) == len(held)
     assert set(np.concatenate(folds.seen)) | set(held) <= set(range(len(folds.data)))
+
+
+def test_a_window_has_one_bias_and_windows_have_different_ones():
+    data = windows([cut(lagging(12.0, 1))], PLANAR, 10)
+    biased = data.with_biases(jax.random.key(0), jnp.asarray([0.1, 0.0, 0.2]))
+    added = np.asarray(biased.controls - data.controls)
+    np.testing.assert_allclose(added, added[:, :1] + np.zeros_like(added), atol=1e-6)
+    np.testing.assert_allclose(added[:, 0].std(axis=0), [0.1, 0.0, 0.2], rtol=0.3)
+    np.testing.assert_array_equal(biased.states, data.states)
 
 
 def simulated(transition, count, steps, seed):

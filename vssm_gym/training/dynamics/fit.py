@@ -19,10 +19,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from vssm_gym.errors import InputError
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.body_axes import body_axes
-from vssm_gym.model.transition.learned import LearnedTransition, Scales, together, untrained
+from vssm_gym.model.transition.learned import LearnedTransition, Scales, untrained
 from vssm_gym.model.transition.manifold import RIGID
 from vssm_gym.progress import OnProgress
-from vssm_gym.training.dynamics.evaluation import coverage
+from vssm_gym.training.dynamics.calibration import calibrate, calibrate_together
 from vssm_gym.training.dynamics.inverse_emission import new_inverse_emission
 from vssm_gym.training.dynamics.objective import ELBO_WEIGHT, Model, Predictions, elbo, predictions
 from vssm_gym.training.dynamics.windows import Windows, evenly_spread, measure_scales
@@ -39,10 +39,6 @@ BIAS_SHARE = 0.02  # of the spread of a further control
 JUDGED_EVERY = 50  # updates between two looks at the held-out windows
 NETWORKS = 4  # networks: the more of them, the less data each misses, and the longer the training
 HELD_WINDOWS = 32  # held-out windows of each network at most
-GAINS = np.geomspace(0.25, 8.0, 32)  # of the noise, among which calibration chooses
-SPREAD_FACTORS = np.geomspace(0.1, 1.0, 16)  # of the spread of all networks together, likewise
-CALIBRATED_ON = 24  # held-out windows of each network at most, each a tenth of a second for every gain
-HELD_SHARE = 0.95  # share of held-out states that the envelopes of 95 % should hold
 
 
 @dataclass(frozen=True)
@@ -174,10 +170,12 @@ def fit(
         for k in range(len(models))
     ]
     position, rotation = (float(std) for std in jnp.exp(best[2]).mean(axis=0))
-    members, gain = calibrate(members, [data.take(held) for held in folds.held], dt, (position, rotation))
-    transition, factor = calibrate_together(members, data, dt, (position, rotation))
-    seconds = time.monotonic() - began
     noise = (position, rotation)
+    keys = jax.random.split(jax.random.fold_in(key, config.updates + 1), len(members))
+    unseen = [data.take(held).with_biases(k, stds) for k, held in zip(keys, folds.held, strict=True)]
+    members, gain = calibrate(members, unseen, dt, noise)
+    transition, factor = calibrate_together(members, data, dt, noise)
+    seconds = time.monotonic() - began
     return Fitted(transition, members, done, seconds, interrupted, score, score < first, gain, factor, noise, history)
 
 
@@ -189,71 +187,6 @@ def optimizer_for(config: FitConfig) -> optax.GradientTransformation:
     rate = optax.cosine_decay_schedule(config.rate, config.updates)
     bounded = optax.chain(optax.clip_by_global_norm(LARGEST_GRADIENT), optax.adamw(rate, weight_decay=config.decay))
     return optax.apply_if_finite(bounded, max_consecutive_errors=config.updates)
-
-
-def calibrate(
-    members: list[LearnedTransition], held: list[Windows], dt: float, noise: tuple[float, float]
-) -> tuple[list[LearnedTransition], float]:
-    """Multiply the noise by the gain with which envelopes hold the share of unseen states that they should.
-
-    A network that has seen its windows many times is surer of them than of others, so each is judged on those that it
-    has not seen. The share is that of all steps of all windows; it is a mean over the coordinates of position, and of
-    pose.
-
-    Args:
-        members: transitions with one network each, after training.
-        held: of each, windows that it was not trained on.
-        dt: length of a step, s.
-        noise: standard deviations of measured positions (m) and rotations (rad).
-    """
-    some = [windows.take(evenly_spread(len(windows), CALIBRATED_ON)) for windows in held]
-    low, high = 0, len(GAINS) - 1  # coverage grows with the gain: bisection
-    while low < high:
-        middle = (low + high) // 2
-        shares = [
-            coverage(with_gain(member, GAINS[middle]), windows, dt, noise).mean()
-            for member, windows in zip(members, some, strict=True)
-        ]
-        low, high = (middle + 1, high) if np.mean(shares) < HELD_SHARE else (low, middle)
-    return [with_gain(member, GAINS[low]) for member in members], float(GAINS[low])
-
-
-def calibrate_together(
-    members: list[LearnedTransition], seen: Windows, dt: float, noise: tuple[float, float]
-) -> tuple[LearnedTransition, float]:
-    """Return all networks together, their spread multiplied by ``sqrt(f)``.
-
-    On unseen data they err less together than each alone, whose error the spread is that of, and more than on data that
-    most of them have seen, which envelopes hold with the spread times ``f``. Their error there cannot be measured: the
-    factor is the middle between 1 and ``f``, on a scale of ratios.
-
-    Args:
-        members: transitions with one network each, calibrated.
-        seen: windows that they were trained on.
-        dt: length of a step, s.
-        noise: standard deviations of measured positions (m) and rotations (rad).
-    """
-    whole = together(members)
-    if whole.members == 1:
-        return whole, 1.0
-    some = seen.take(evenly_spread(len(seen), CALIBRATED_ON))
-    low, high = 0, len(SPREAD_FACTORS) - 1
-    while low < high:
-        middle = (low + high) // 2
-        share = coverage(with_gain(whole, SPREAD_FACTORS[middle]), some, dt, noise).mean()
-        low, high = (middle + 1, high) if share < HELD_SHARE else (low, middle)
-    factor = float(SPREAD_FACTORS[low]) ** 0.5
-    return with_gain(whole, factor), factor
-
-
-def with_gain(transition: LearnedTransition, gain: float) -> LearnedTransition:
-    """Return the transition with all standard deviations multiplied: of the rest too, and of networks' weights."""
-    spread = len(transition.nominal.manifold.turns) + transition.size
-    offset = transition.network.offset.at[..., spread:].add(jnp.log(gain))
-    louder = eqx.tree_at(lambda t: t.network.offset, transition, offset)
-    if transition.disagreement is None:
-        return louder
-    return eqx.tree_at(lambda t: t.disagreement, louder, transition.disagreement * gain)
 
 
 def _bias_stds(nominal: Transition, scales: Scales) -> Float[Array, "m"]:
@@ -326,8 +259,8 @@ def _beginnings(data: Windows, seen: Array, key: PRNGKeyArray, batch: int, steps
     """Return the first steps of some of the windows that are seen, the controls of each with a bias of its own."""
     by_window, by_bias = jax.random.split(key)
     some = data.take(jax.random.choice(by_window, seen, (batch,)))
-    bias = jax.random.normal(by_bias, (batch, 1, stds.shape[0])) * stds
-    return Windows(jax.tree.map(lambda a: a[:, : steps + 1], some.states), some.controls[:, :steps] + bias)
+    first = Windows(jax.tree.map(lambda a: a[:, : steps + 1], some.states), some.controls[:, :steps])
+    return first.with_biases(by_bias, stds)
 
 
 def _placed(form: Model, trained: Any) -> Model:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from vssm_gym.data.dynamics.log import Steps
 from vssm_gym.geometry.transforms import matrix_to_planar
@@ -37,6 +37,11 @@ class Windows(eqx.Module):
     def take(self, chosen: Any) -> "Windows":
         """Return some of the windows."""
         return jax.tree.map(lambda a: a[chosen], self)
+
+    def with_biases(self, key: PRNGKeyArray, stds: Float[Array, "m"]) -> "Windows":
+        """Return the windows with a bias of its own added to the controls of each, ``N(0, stds^2)``."""
+        drawn = jax.random.normal(key, (*self.controls.shape[:-2], 1, self.controls.shape[-1]))
+        return Windows(self.states, self.controls + drawn * stds)
 
 
 def states_of(steps: Steps, manifold: Manifold) -> Any:
