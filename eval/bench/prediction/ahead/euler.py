@@ -14,7 +14,7 @@ import jax
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.calibrated import CalibratedDrive, CalibratedImu
 from vssm_gym.model.transition.learned import LearnedTransition, untrained
-from vssm_gym.training.dynamics.fit import GAINS, calibrate
+from vssm_gym.training.dynamics.calibration import GAINS, calibrate
 from vssm_gym.training.dynamics.windows import Windows, measure_scales
 
 # Coordinates of the noise in body axes: m, rad, m/s, rad/s
