@@ -16,7 +16,7 @@ from vssm_gym.viz import pictures
 
 COLOURS = {"euler": AXIS_COLOURS[2], "learned": pictures.ESTIMATE_COLOUR}
 RINGS = (10, 30, 60, 100)  # steps after which an envelope is drawn
-PATH_MARGIN = 0.15  # of the extent of the paths, around them
+EXTENT_MARGIN = 0.15  # of the extent of the paths, around them
 
 
 def picture(judged: Judged, foreseen: Mapping[str, Foreseen]) -> bytes:
@@ -67,7 +67,7 @@ def _paths(ax: Axes, models: Mapping[str, Path]) -> None:
                 ax.add_patch(ring(path.samples[:, steps - 1, :2], COLOURS[name]))
                 ax.plot(*truth[steps], ".", color=pictures.TRUE_COLOUR, markersize=7, zorder=5)
     low, high = np.concatenate(extent).min(axis=0), np.concatenate(extent).max(axis=0)
-    room = PATH_MARGIN * float((high - low).max()) + 0.05
+    room = EXTENT_MARGIN * float((high - low).max()) + 0.05
     ax.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room), xlabel="x, m", ylabel="y, m")
     ax.set_aspect("equal", adjustable="box")  # wide envelopes are cut off: the paths stay readable
     tidy(ax)
