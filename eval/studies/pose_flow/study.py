@@ -22,7 +22,7 @@ from vssm_gym.model.transition.manifold import POSES
 from vssm_gym.progress import OnProgress
 
 PRIOR_STD = 1.5  # m, of each coordinate of the position about the ball; any rotation
-MEASURED = 2000  # draws of each posterior
+DRAWS = 2000  # draws of each posterior
 PATCHES = 100  # of equal area on the sphere of directions
 CENTRED = np.radians(2.0)  # the line of sight passes the ball's centre within this angle, and ...
 DISTANT = 0.05  # m: ... the distance is right within this
@@ -55,10 +55,10 @@ def run(seed: int = 0, config: FitConfig | None = None, on_progress: OnProgress 
         found[name] = fitted()
         if on_progress:
             on_progress(name, done + 1, len(fits))
-    weighed = weigh(keys[4], found["flow"], prior, given, MEASURED)
-    evidence = float(jax.scipy.special.logsumexp(weighed.log_weight)) - float(np.log(MEASURED))
-    poses = {name: np.asarray(q.draw(keys[5], MEASURED).states[:, 0]) for name, q in found.items()}
-    elbos = {name: float(bound(keys[5], q, prior, given, MEASURED)) for name, q in found.items()}
+    weighed = weigh(keys[4], found["flow"], prior, given, DRAWS)
+    evidence = float(jax.scipy.special.logsumexp(weighed.log_weight)) - float(np.log(DRAWS))
+    poses = {name: np.asarray(q.draw(keys[5], DRAWS).states[:, 0]) for name, q in found.items()}
+    elbos = {name: float(bound(keys[5], q, prior, given, DRAWS)) for name, q in found.items()}
     figures: dict[str, dict[str, Any]] = {name: {"elbo": elbos[name], **_measured(poses[name])} for name in NAMES}
     starts = start_beliefs(keys[4], found["flow"], prior, given, (0.1, 0.1))
     figures["flow"]["effective"] = float(effective_share(weighed.log_weight))
@@ -75,7 +75,7 @@ def run(seed: int = 0, config: FitConfig | None = None, on_progress: OnProgress 
         notes=(
             "One ball of one colour in free space, known, and one noisy image of it. The prior has the camera about "
             f"the ball, with {PRIOR_STD:g} m in each coordinate, and any rotation. Covered: the exponential of the "
-            f"entropy of the sides of {MEASURED:,} draws over {PATCHES} equal patches of the sphere, divided by their "
+            f"entropy of the sides of {DRAWS:,} draws over {PATCHES} equal patches of the sphere, divided by their "
             "number. In the centre: the line of sight passes the centre of the ball within "
             f"{np.degrees(CENTRED):.0f} degrees, at the right distance within {100 * DISTANT:.0f} cm.",
             "The Gaussians start at the true pose: the mean field narrow, the one with correlations wide along the "
