@@ -13,7 +13,8 @@ from vssm_gym.viz import pictures
 
 SHOWN = 250  # draws of each posterior
 ARROW = 0.35  # m, of a viewing direction
-REACH = 1.25 * DISTANCE  # m, of the axes
+REACH = 1.15 * DISTANCE  # m, of the axes
+TICKS = (-1.0, 0.0, 1.0)  # m
 
 
 def draw(image: RGBD, poses: Mapping[str, Float[np.ndarray, "n 4 4"]]) -> bytes:
@@ -48,5 +49,6 @@ def _draw_poses(axes: Any, T: Float[np.ndarray, "n 4 4"]) -> None:
         *true[:3, 3], *(2.0 * ARROW * true[:3, 2]), color=pictures.TRUE_COLOUR, linewidth=2.0, arrow_length_ratio=0.3
     )
     axes.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), zlim=(-REACH, REACH), xlabel="m")
-    axes.set_box_aspect((1.0, 1.0, 1.0))
-    axes.tick_params(labelsize=6)
+    axes.set(xticks=TICKS, yticks=TICKS, zticks=TICKS)
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.15)
+    axes.tick_params(labelsize=7)

@@ -22,7 +22,7 @@ from vssm_gym.model.transition.manifold import POSES
 from vssm_gym.progress import OnProgress
 
 PRIOR_STD = 1.5  # m, of each coordinate of the position about the ball; any rotation
-DRAWS = 2000  # draws of each posterior
+DRAWS = 2048  # draws of each posterior
 PATCHES = 100  # of equal area on the sphere of directions
 CENTRED = np.radians(2.0)  # the line of sight passes the ball's centre within this angle, and ...
 DISTANT = 0.05  # m: ... the distance is right within this
@@ -138,5 +138,5 @@ def _answer(figures: dict[str, dict[str, Any]], evidence: float) -> str:
         f"The log evidence is {evidence:.1f} nats; the bounds lie below it by, in nats: {gaps}. The flow covers "
         f"{figures['flow']['covered']:.0%} of the sphere, the mean field {figures['mean field']['covered']:.0%}, the "
         f"Gaussian with correlations {figures['Gaussian']['covered']:.0%}. The largest part of the flow's posterior "
-        f"that one filter could start from has {max(figures['flow']['shares']):.1%} of it."
+        f"that one filter could start from has {max(figures['flow']['shares'], default=0.0):.1%} of it."
     )

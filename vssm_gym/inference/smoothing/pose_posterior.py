@@ -29,6 +29,7 @@ from vssm_gym.model.transition.belief import Belief
 
 CHUNK = 64  # poses rendered together: more take more memory, not less time
 HALVINGS = 30  # of the interval of a trust region's exponent, which reaches down to LEAST_EXPONENT
+NO_WEIGHT = -1e9  # nats, of a draw whose density overflows; it has no part in what is made of the others
 LEAST_EXPONENT = 1e-5  # of the posterior in a step of :func:`approach`
 CLIPPED = 100.0  # norm of a gradient, nats per unit: a pose that hits a ray's edge has a far larger one
 
@@ -147,7 +148,8 @@ def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood,
     """
     drawn = q.sample_with_log_prob(key, samples)
     of_image = jax.lax.map(likelihood.log_prob, drawn.poses, batch_size=CHUNK)
-    return Weighed(drawn.poses, of_image + prior.log_prob(drawn.poses) - drawn.log_prob)
+    log_weight = of_image + prior.log_prob(drawn.poses) - drawn.log_prob
+    return Weighed(drawn.poses, jnp.where(jnp.isfinite(log_weight), log_weight, NO_WEIGHT))
 
 
 @partial(jax.jit, static_argnames="config")
@@ -250,5 +252,8 @@ def _exponent(log_weight: Array, least: float) -> Float[Array, ""]:
 
 
 def _descended(carry: tuple[Any, Any], gradient: Any, optimiser: optax.GradientTransformation) -> tuple[Any, Any]:
+    """Make a step of the optimiser; a gradient that overflows at one of its draws moves nothing."""
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(gradient)]))
+    gradient = jax.tree.map(lambda leaf: jnp.where(finite, leaf, 0.0), gradient)
     change, moments = optimiser.update(gradient, carry[1])
     return optax.apply_updates(carry[0], change), moments
