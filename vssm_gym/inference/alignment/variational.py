@@ -1,4 +1,4 @@
-"""Maximise the evidence lower bound of a pose over Gaussians: ``argmin_q E_q[c(xi)] - H(q)`` (eq. I66).
+"""Maximise the evidence lower bound of a pose over Gaussians: ``argmin_q E_q[c(xi)] - H(q)`` (eq. I68).
 
     Sigma^-1 = E_q[H(xi)],    mu <- mu - Sigma E_q[g(xi)],    q = N(mu, Sigma)
 
