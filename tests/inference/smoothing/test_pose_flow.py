@@ -172,3 +172,12 @@ def test_marginals_have_the_spread_of_the_draws():
     mean, covariance = q.marginals()
     xi = np.asarray(POSES.error(mean[0], q.sample(jax.random.key(7), 20_000)), float)
     np.testing.assert_allclose(covariance[0], xi.T @ xi / len(xi), atol=0.1 * float(jnp.trace(covariance[0])))
+
+
+def test_no_draw_of_strong_layers_overflows():
+    """Each layer scales by a function of what the last one has scaled: without a bound, twice an exponential."""
+    layers = disturbed(Couplings.of(jax.random.key(0), 3, 0), 1.0)
+    y, log_det = jax.jit(jax.vmap(lambda x: layers.forward(x, jnp.zeros(0))))(
+        3.0 * jax.random.normal(jax.random.key(2), (4096, 3))
+    )
+    assert np.isfinite(y).all() and np.isfinite(log_det).all()

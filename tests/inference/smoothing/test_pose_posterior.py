@@ -12,7 +12,17 @@ from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.smoothing.families import Chain, MeanField
 from vssm_gym.inference.smoothing.pose_flow import PoseFlow
-from vssm_gym.inference.smoothing.pose_posterior import FitConfig, View, bound, climb, effective_share, fit, weigh
+from vssm_gym.inference.smoothing.pose_posterior import (
+    NO_WEIGHT,
+    FitConfig,
+    View,
+    bound,
+    climb,
+    effective_share,
+    fit,
+    weigh,
+)
+from vssm_gym.inference.smoothing.start_beliefs import NEAR, start_beliefs
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -36,6 +46,21 @@ class Humps(eqx.Module):
 
     def widened(self, factor):
         return Humps(self.T, self.covariance, factor)
+
+
+class Undefined(eqx.Module):
+    """Give no density to poses beyond a plane: zero behind it, undefined near it."""
+
+    humps: Humps
+    x: jax.Array
+
+    def log_prob(self, T):
+        beyond = T[0, 3] - self.x
+        none = jnp.where(beyond > 0.05, -jnp.inf, jnp.nan)
+        return jnp.where(beyond > 0.0, none, self.humps.log_prob(T))
+
+    def widened(self, factor):
+        return Undefined(self.humps.widened(factor), self.x)
 
 
 class Flat(eqx.Module):
@@ -81,6 +106,48 @@ def test_the_gradient_is_that_of_the_mean():
 def test_weights_that_are_alike_leave_all_draws():
     assert float(effective_share(jnp.full(10, -3.0))) == pytest.approx(1.0)
     assert float(effective_share(jnp.array([0.0, -1e9, -1e9, -1e9]))) == pytest.approx(0.25)
+
+
+def undefined_beyond(x: float) -> Undefined:
+    return Undefined(Humps(jnp.stack([NOMINAL, NOMINAL @ FAR]), jnp.diag(STD**2)), jnp.float32(x))
+
+
+def test_a_draw_without_a_density_has_no_part():
+    """Half of the draws have none; then all, some of which overflow."""
+    q = PoseFlow.around(jax.random.key(0), NOMINAL, 0.05, 0.05 / TURN_SLOPE)
+    x = float(NOMINAL[0, 3])
+    found = weigh(jax.random.key(1), q, Flat(), undefined_beyond(x), 2048)
+    without = np.asarray(found.log_weight) == NO_WEIGHT
+    assert 0.4 < without.mean() < 0.6
+    assert all(np.isfinite(value).all() for value in found)
+    np.testing.assert_allclose(jax.nn.softmax(found.log_weight)[without], 0.0)
+    far = eqx.tree_at(lambda q: q.place_scale, q, q.place_scale.at[0, 0].set(88.5))  # exp(88.5) times 2.4 overflows
+    overflown = weigh(jax.random.key(1), far, Flat(), undefined_beyond(x), 2048)
+    assert all(np.isfinite(value).all() for value in overflown)
+
+
+def test_starts_are_defined_where_some_draws_are_not():
+    q = PoseFlow.around(jax.random.key(0), NOMINAL, 0.05, 0.05 / TURN_SLOPE)
+    x = float(NOMINAL[0, 3])
+    start, *rest = start_beliefs(jax.random.key(1), q, Flat(), undefined_beyond(x), (0.1, 0.1))
+    assert start.share + sum(other.share for other in rest) == pytest.approx(1.0, abs=1e-5)
+    assert np.isfinite(start.belief.covariance).all()
+    assert x - NEAR[0] < float(start.belief.mean.T_world_body[0, 3]) < x
+    assert start_beliefs(jax.random.key(1), q, Flat(), undefined_beyond(x - 9.0), (0.1, 0.1)) == []
+
+
+def test_each_place_has_its_share():
+    """Two places 0.9 m apart, one three times as likely as the other: a Gaussian of each, the likelier first."""
+    aside = lambda x: NOMINAL @ se3_exp(jnp.array([x, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    T, std = jnp.stack([aside(-0.45), *[aside(0.45)] * 3]), jnp.array([0.1] * 3 + [0.05] * 3)
+    q = PoseFlow.around(jax.random.key(0), NOMINAL, 0.4, 0.05 / TURN_SLOPE)
+    first, second, *rest = start_beliefs(jax.random.key(1), q, Flat(), Humps(T, jnp.diag(std**2)), (0.1, 0.1))
+    assert first.share / (first.share + second.share) == pytest.approx(0.75, abs=0.1)
+    assert sum(other.share for other in rest) < 0.1
+    for start, x in ((first, 0.45), (second, -0.45)):
+        xi = POSES.error(aside(x), start.belief.mean.T_world_body)
+        assert float(jnp.linalg.norm(xi[:3])) < 0.08 and float(jnp.linalg.norm(xi[3:])) < 0.04
+        np.testing.assert_allclose(jnp.sqrt(jnp.diag(start.belief.covariance)[:6]), std, rtol=0.4)
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Transform points of R^n by layers of a normalising flow, one coordinate at a time (eq. I63).
 
-    y = (x_2, ..., x_n, exp(a) f(x_1) + b),    a, b, f by a network of x_2, ..., x_n and a context
+    y = (x_2, ..., x_n, exp(a) f(x_1) + b),    |a| < 3,    a, b, f by a network of x_2, ..., x_n and a context
 
 ``f`` is a monotonic rational-quadratic spline on ``[-REACH, REACH]`` and the identity outside (Durkan et al., NeurIPS
 2019). Each layer transforms the first coordinate and makes it the last, so that all layers are alike and stacked. Both
@@ -17,6 +17,9 @@ BINS = 8  # of the spline
 LEAST = 1e-3  # share of a bin, and slope, at least: the inverse stays well conditioned
 TURNS = 2  # times that each coordinate is transformed
 WIDTH = 32  # units of each of the two hidden layers of the network
+MOST_SCALE = (
+    3.0  # nats, of a layer: unbounded, an exponential of what the last layer has scaled overflows for some draws
+)
 SLOPE_SHIFT = 0.541325  # log(e - 1): softplus of it is 1, so that the layer starts as the identity
 
 
@@ -76,7 +79,11 @@ def _parameters(network: tuple[eqx.nn.Linear, ...], others: Array, context: Arra
     for layer in hidden:
         out = jax.nn.silu(layer(out))
     out = last(out)
-    return out[0], out[1], Knots.of(out[2 : 2 + BINS], out[2 + BINS : 2 + 2 * BINS], out[2 + 2 * BINS :])
+    return (
+        MOST_SCALE * jnp.tanh(out[0] / MOST_SCALE),
+        out[1],
+        Knots.of(out[2 : 2 + BINS], out[2 + BINS : 2 + 2 * BINS], out[2 + 2 * BINS :]),
+    )
 
 
 class Knots(eqx.Module):

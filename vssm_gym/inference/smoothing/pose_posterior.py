@@ -29,7 +29,7 @@ from vssm_gym.model.transition.belief import Belief
 
 CHUNK = 64  # poses rendered together: more take more memory, not less time
 HALVINGS = 30  # of the interval of a trust region's exponent, which reaches down to LEAST_EXPONENT
-NO_WEIGHT = -1e9  # nats, of a draw whose density overflows; it has no part in what is made of the others
+NO_WEIGHT = -1e9  # nats, of a draw without a density: finite, since 0 times infinity is undefined; no part in a softmax
 LEAST_EXPONENT = 1e-5  # of the posterior in a step of :func:`approach`
 CLIPPED = 100.0  # norm of a gradient, nats per unit: a pose that hits a ray's edge has a far larger one
 
@@ -117,6 +117,7 @@ class Weighed(NamedTuple):
 
     poses: Float[Array, "samples 4 4"]
     log_weight: Float[Array, "samples"]
+    log_joint: Float[Array, "samples"]  # log p(x, z)
 
 
 def fit(
@@ -139,6 +140,9 @@ def fit(
 def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood, samples: int) -> Weighed:
     """Draw from ``q`` and compare with the posterior.
 
+    Where a density is zero or undefined, both logarithms are ``NO_WEIGHT``. The pose is then the nominal one, so that a
+    sum of weighted poses stays defined.
+
     Args:
         key: random key.
         q: the approximation.
@@ -148,8 +152,11 @@ def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood,
     """
     drawn = q.sample_with_log_prob(key, samples)
     of_image = jax.lax.map(likelihood.log_prob, drawn.poses, batch_size=CHUNK)
-    log_weight = of_image + prior.log_prob(drawn.poses) - drawn.log_prob
-    return Weighed(drawn.poses, jnp.where(jnp.isfinite(log_weight), log_weight, NO_WEIGHT))
+    log_joint = of_image + prior.log_prob(drawn.poses)
+    log_weight = log_joint - drawn.log_prob
+    defined = jnp.isfinite(log_weight) & jnp.all(jnp.isfinite(drawn.poses), axis=(1, 2))
+    poses = jnp.where(defined[:, None, None], drawn.poses, q.nominal)
+    return Weighed(poses, *(jnp.where(defined, value, NO_WEIGHT) for value in (log_weight, log_joint)))
 
 
 @partial(jax.jit, static_argnames="config")
@@ -171,7 +178,7 @@ def approach(
     optimiser = optax.chain(optax.clip_by_global_norm(10.0), optax.adam(config.fit_rate))
 
     def once(carry: tuple[PoseFlow, Any], key: PRNGKeyArray) -> tuple[tuple[PoseFlow, Any], None]:
-        poses, log_weight = weigh(key, carry[0], prior, likelihood, config.draws)
+        poses, log_weight, _ = weigh(key, carry[0], prior, likelihood, config.draws)
         weights = jax.nn.softmax(_exponent(log_weight, config.effective) * log_weight)
         cost = lambda q: -jnp.sum(weights * q.log_prob(poses))
         step = lambda carry, _: (_descended(carry, jax.grad(cost)(carry[0]), optimiser), None)
@@ -252,7 +259,7 @@ def _exponent(log_weight: Array, least: float) -> Float[Array, ""]:
 
 
 def _descended(carry: tuple[Any, Any], gradient: Any, optimiser: optax.GradientTransformation) -> tuple[Any, Any]:
-    """Make a step of the optimiser; a gradient that overflows at one of its draws moves nothing."""
+    """Make a step of the optimiser; a gradient that overflows at one of its draws counts as zero."""
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(gradient)]))
     gradient = jax.tree.map(lambda leaf: jnp.where(finite, leaf, 0.0), gradient)
     change, moments = optimiser.update(gradient, carry[1])

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.inference.smoothing.pose_flow import PoseFlow
-from vssm_gym.inference.smoothing.pose_posterior import FitConfig, Likelihood, fit, weigh
+from vssm_gym.inference.smoothing.pose_posterior import NO_WEIGHT, Likelihood, weigh
 from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.model.transition.belief import Belief, GaussianBelief
 from vssm_gym.model.transition.manifold import POSES, RIGID
@@ -38,34 +38,10 @@ class Start(NamedTuple):
     share: float
 
 
-def locate(
-    key: PRNGKeyArray,
-    prior: PoseFlow,
-    likelihood: Likelihood,
-    velocity: tuple[float, float],
-    config: FitConfig,
-) -> tuple[PoseFlow, list[Start]]:
-    """Return where a kidnapped camera may be: its posterior, and Gaussians to start a filter from.
-
-    Args:
-        key: random key.
-        prior: ``p(z)``, as wide as the places where the camera may be, from which the fit starts.
-        likelihood: of its image.
-        velocity: standard deviations of the linear (m/s) and the angular (rad/s) velocity.
-        config: effort.
-
-    Returns:
-        The posterior, and the Gaussians with the largest share first.
-    """
-    of_fit, of_starts = jax.random.split(key)
-    q = fit(of_fit, prior, prior, likelihood, config)
-    return q, start_beliefs(of_starts, q, prior, likelihood, velocity)
-
-
 def start_beliefs(
     key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood, velocity: tuple[float, float]
 ) -> list[Start]:
-    """Return the Gaussians of a posterior, the one with the largest share first.
+    """Return the Gaussians of a posterior, the one with the largest share first; none if no draw has a density.
 
     Args:
         key: of the draws.
@@ -74,8 +50,7 @@ def start_beliefs(
         likelihood: of the image.
         velocity: standard deviations of the linear (m/s) and the angular (rad/s) velocity.
     """
-    poses, log_weight = weigh(key, q, prior, likelihood, DRAWS)
-    mean, covariance, share = _parted(poses, log_weight, log_weight + q.log_prob(poses))
+    mean, covariance, share = _parted(*weigh(key, q, prior, likelihood, DRAWS))
     order = [int(k) for k in jnp.argsort(-share) if share[k] > 0.0]
     return [Start(at_rest(RIGID, mean[k], covariance[k], velocity), float(share[k])) for k in order]
 
@@ -99,5 +74,8 @@ def _parted(
         covariance = (weight[:, None] * xi).T @ xi + LEAST_STD**2 * jnp.eye(6)
         return jnp.where(near, 0.0, left), (mean, covariance, share)
 
-    _, found = jax.lax.scan(part, jax.nn.softmax(log_weight), None, length=KEPT)
+    weights = jnp.where(
+        log_weight > NO_WEIGHT, jax.nn.softmax(log_weight), 0.0
+    )  # zero even where no draw has a density
+    _, found = jax.lax.scan(part, weights, None, length=KEPT)
     return found
