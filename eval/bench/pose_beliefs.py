@@ -1,4 +1,4 @@
-"""Compare Gaussians over the pose of one image in a known map: Laplace's, the variational one, the filter's own.
+"""Compare Gaussians of one image's pose in a known map, Laplace's, variational, the filter's: ``bench beliefs``.
 
 All three share the prior and the alignment's cost. Laplace's approximation takes the curvature at the MAP, the
 variational one mean and curvature over itself, the filter's the errors of surfaces by their patches (eq. I16). They are
@@ -78,8 +78,8 @@ def compare(
         on_progress: called with ("poses", frames done, frames).
 
     Returns:
-        By belief: ``nees`` over the dimension, the share ``inside`` the 95 % region and ``surprise`` (nats), with
-        standard errors.
+        ``scene``, ``frames``, and ``beliefs``: of each by its name ``nees`` over the dimension, the share ``inside``
+        the 95 % region and ``surprise`` (nats), with standard errors.
     """
     config = config or TrackingConfig()
     apartment, robot = load_scene(SCENE), HolonomicRobot()
@@ -106,7 +106,11 @@ def compare(
             if on_progress:
                 on_progress("poses", len(judged), frames)
     rays.close()
-    return {name: _summary(judged, k) for k, name in enumerate(BELIEFS)}
+    return {
+        "scene": SCENE,
+        "frames": frames,
+        "beliefs": {name: _summary(judged, k) for k, name in enumerate(BELIEFS)},
+    }
 
 
 @partial(jax.jit, static_argnames="config")

@@ -1,6 +1,6 @@
 """Fit a Gaussian and a flow to the pose of a camera that sees a ball, and measure what they cover (VSSM-LM, fig. 5.4).
 
-p(z | x) is the same on all sides of the ball and at all rolls about the line of sight: a surface, SO(3) around a point
+``p(z | x)`` is the same on all sides of the ball and at all rolls about the line of sight: SO(3) around a point.
 """
 
 from typing import Any
@@ -30,16 +30,16 @@ DISTANT = 0.05  # m: ... the distance is right within this
 SMALL, WIDE = jnp.array([0.005] * 3 + [0.05] * 3), jnp.array([0.003] * 3 + [0.8] * 3)
 GAUSSIAN = FitConfig(steps=600, rate=0.01, heat=3.0)  # of their climb
 CORRELATED = FitConfig(steps=400, rate=0.002, heat=1.0)  # of one that starts near its optimum
+FLOW = FitConfig()
 NAMES = ("mean field", "Gaussian", "flow")
 HEADER = ("family", "ELBO, nats", "sphere covered", "distance error, mm", "ball in the centre")
 
 
-def run(seed: int = 0, config: FitConfig | None = None, on_progress: OnProgress | None = None) -> Study:
+def run(seed: int = 0, on_progress: OnProgress | None = None) -> Study:
     """Fit each family to one image, and measure it.
 
     Args:
         seed: of the image's noise and of the fits.
-        config: effort of the flow's fit; None: the default.
         on_progress: called with (family, families done, families).
     """
     given = view(seed)
@@ -48,7 +48,7 @@ def run(seed: int = 0, config: FitConfig | None = None, on_progress: OnProgress 
     fits = {
         "mean field": lambda: climb(keys[1], _mean_field(), prior, given, GAUSSIAN),
         "Gaussian": lambda: climb(keys[2], _around_the_ball(), prior, given, CORRELATED),
-        "flow": lambda: fit(keys[3], prior, prior, given, config or FitConfig()),
+        "flow": lambda: fit(keys[3], prior, prior, given, FLOW),
     }
     found: dict[str, Any] = {}
     for done, (name, fitted) in enumerate(fits.items()):
