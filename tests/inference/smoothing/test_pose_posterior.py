@@ -66,8 +66,8 @@ class Undefined(eqx.Module):
 class Flat(eqx.Module):
     """``log p(z) = 0`` everywhere: what is left of a posterior is its likelihood."""
 
-    def log_prob(self, T):
-        return jnp.zeros(T.shape[:-2])
+    def log_prob(self, state):
+        return jnp.zeros(state.shape[:-2])
 
 
 def correlated() -> jax.Array:

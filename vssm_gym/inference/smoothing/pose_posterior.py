@@ -25,7 +25,6 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
 from vssm_gym.model.emission_density import EmissionScales, log_prob
-from vssm_gym.model.transition.belief import Belief
 
 CHUNK = 64  # poses rendered together: more take more memory, not less time
 HALVINGS = 30  # of the interval of a trust region's exponent, which reaches down to LEAST_EXPONENT
@@ -34,6 +33,14 @@ LEAST_EXPONENT = 1e-5  # of the posterior in a step of :func:`approach`
 CLIPPED = 100.0  # norm of a gradient, nats per unit: a pose that hits a ray's edge has a far larger one
 
 Family = TypeVar("Family", bound=TrajectoryBelief)
+
+
+@runtime_checkable
+class Prior(Protocol):
+    """Describe ``p(z)`` over poses; an implementation is a pytree, such as a belief."""
+
+    def log_prob(self, state: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch"]:
+        """Return ``log p(z)``, nats with respect to m^3 rad^3."""
 
 
 @runtime_checkable
@@ -121,7 +128,7 @@ class Weighed(NamedTuple):
 
 
 def fit(
-    key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood, config: FitConfig = FitConfig()
+    key: PRNGKeyArray, q: PoseFlow, prior: Prior, likelihood: Likelihood, config: FitConfig = FitConfig()
 ) -> PoseFlow:
     """``argmax_q L``: approach, then climb.
 
@@ -137,7 +144,7 @@ def fit(
 
 
 @partial(jax.jit, static_argnames="samples")
-def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood, samples: int) -> Weighed:
+def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Prior, likelihood: Likelihood, samples: int) -> Weighed:
     """Draw from ``q`` and compare with the posterior.
 
     Where a density is zero or undefined, both logarithms are ``NO_WEIGHT``. The pose is then the nominal one, so that a
@@ -161,7 +168,7 @@ def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood,
 
 @partial(jax.jit, static_argnames="config")
 def approach(
-    key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood, config: FitConfig = FitConfig()
+    key: PRNGKeyArray, q: PoseFlow, prior: Prior, likelihood: Likelihood, config: FitConfig = FitConfig()
 ) -> PoseFlow:
     """``q <- argmax_q' E_r[log q'],  r ~ q^(1 - g) [p(x | z) p(z)]^g``: ascend ``L`` in trust regions (eq. I65).
 
@@ -190,7 +197,7 @@ def approach(
 
 @partial(jax.jit, static_argnames="config")
 def climb(
-    key: PRNGKeyArray, q: Family, prior: Belief, likelihood: Likelihood, config: FitConfig = FitConfig()
+    key: PRNGKeyArray, q: Family, prior: Prior, likelihood: Likelihood, config: FitConfig = FitConfig()
 ) -> Family:
     """Ascend the annealed bound by Adam, with reparameterised draws (eq. I66).
 
@@ -219,7 +226,7 @@ def climb(
 def bound(
     key: PRNGKeyArray,
     q: TrajectoryBelief,
-    prior: Belief,
+    prior: Prior,
     likelihood: Likelihood,
     samples: int,
     heat: float | Array = 1.0,

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.inference.smoothing.pose_flow import PoseFlow
-from vssm_gym.inference.smoothing.pose_posterior import NO_WEIGHT, Likelihood, weigh
+from vssm_gym.inference.smoothing.pose_posterior import NO_WEIGHT, Likelihood, Prior, weigh
 from vssm_gym.inference.tracking.camera_filter import at_rest
-from vssm_gym.model.transition.belief import Belief, GaussianBelief
+from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import POSES, RIGID
 
 NEAR = (0.3, 0.35)  # m, rad: a filter's alignment reaches poses within both
@@ -39,7 +39,7 @@ class Start(NamedTuple):
 
 
 def start_beliefs(
-    key: PRNGKeyArray, q: PoseFlow, prior: Belief, likelihood: Likelihood, velocity: tuple[float, float]
+    key: PRNGKeyArray, q: PoseFlow, prior: Prior, likelihood: Likelihood, velocity: tuple[float, float]
 ) -> list[Start]:
     """Return the Gaussians of a posterior, the one with the largest share first; none if no draw has a density.
 

@@ -140,7 +140,7 @@ class RigidPoses:
 
     def log_volume(self, xi: Float[Array, "*batch 6"]) -> Float[Array, "*batch"]:
         """``log |det Jr|`` of SE(3; eq. M16)."""
-        return RIGID.log_volume(xi)
+        return 2.0 * _turn_log_volume(jnp.sum(xi[..., 3:] ** 2, axis=-1))
 
     def pose(self, T_world_body: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 4 4"]:
         """Return the state itself."""
