@@ -138,5 +138,6 @@ def _answer(figures: dict[str, dict[str, Any]], evidence: float) -> str:
         f"The log evidence is {evidence:.1f} nats; the bounds lie below it by, in nats: {gaps}. The flow covers "
         f"{figures['flow']['covered']:.0%} of the sphere, the mean field {figures['mean field']['covered']:.0%}, the "
         f"Gaussian with correlations {figures['Gaussian']['covered']:.0%}. The largest part of the flow's posterior "
-        f"that one filter could start from has {max(figures['flow']['shares'], default=0.0):.1%} of it."
+        f"that one filter could start from has {max(figures['flow']['shares'], default=0.0):.1%} of it, by weights of "
+        f"which {figures['flow']['effective']:.1%} count."
     )
