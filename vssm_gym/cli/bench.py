@@ -9,8 +9,10 @@ from vssm_gym.cli.shared.console import literal_console, say
 from vssm_gym.cli.shared.interruption import interruptible
 from vssm_gym.cli.shared.predictions import check_log, show_prediction
 
-Suite = Literal["speed", "envs", "rl", "soak", "car", "information", "prediction", "tracker", "drift", "slam"]
-DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40, "prediction": 8}
+Suite = Literal[
+    "speed", "envs", "rl", "soak", "car", "information", "prediction", "beliefs", "tracker", "drift", "slam"
+]
+DEFAULT_TRIALS = {"tracker": 300, "drift": 4, "slam": 1, "car": 300, "information": 40, "prediction": 8, "beliefs": 240}
 DEFAULT_TRIALS |= {"soak": 100_000, "rl": 1_000_000}  # steps
 FEWEST_CANDIDATES = 5  # of which a rank correlation means something
 DEFAULT_SCENE = {"car": "arena"}  # the others: oak
@@ -41,10 +43,12 @@ def bench(
     `information` measures an explorer's imagined step and its ranking of candidates against all pixels and against the
     true images. `prediction` scores images and poses 1 s and 3 s ahead, of the world model and of baselines, in learned
     maps of a split's apartments; `prediction LOG --transition FILE.npz` predicts a recorded motion 10, 30 and 100 steps
-    ahead by a learned transition and by plain integration, and with `--map` its images too. `tracker` drives 100 steps
-    at a time along the true pose and prints the tracker's location RMSE. `drift` chains goals over 100 m and compares
-    the map tracker, frame-to-frame alignment and dead reckoning on the same images. `slam` runs LOG at 160x120 and
-    320x240 and compares time and error with Open3D's dense SLAM, where it is installed.
+    ahead by a learned transition and by plain integration, and with `--map` its images too. `beliefs` judges three
+    Gaussians of a pose by the true one, on single images in the map of `oak` that comes with the package: Laplace's,
+    the variational one and the filter's. `tracker` drives 100 steps at a time along the true pose and prints the
+    tracker's location RMSE. `drift` chains goals over 100 m and compares the map tracker, frame-to-frame alignment and
+    dead reckoning on the same images. `slam` runs LOG at 160x120 and 320x240 and compares time and error with Open3D's
+    dense SLAM, where it is installed.
 
     Args:
         suite: the suite to run.
@@ -52,7 +56,7 @@ def bench(
         scene: built-in name or path of a scene file; by default `oak`, for `car` `arena`.
         out: folder for the learned map, which is kept, and for the results as JSON; it may hold other suites' results.
         trials: number of drives (`tracker` 300, `prediction` 8, `drift` 4), runs (`slam` 1), steps (`soak` 100000, `rl`
-            1000000), steps of each controller (`car` 300) or candidates (`information` 40).
+            1000000), steps of each controller (`car` 300), candidates (`information` 40) or images (`beliefs` 240).
         split: scenes and seeds of `prediction`: to tune on (train) or to judge on (test).
         workers: number of processes of `tracker` and `drift`.
         seed: seed of the drives.
@@ -80,6 +84,8 @@ def bench(
     ahead = suite == "prediction" and sequence is not None
     check_log(suite, sequence, {"transition": transition, "map": map, "fit": fit or None})
     recording = load_sequence(sequence) if sequence is not None and suite == "slam" else None
+    if suite == "beliefs" and scene != "oak":
+        raise InputError("bench", "scene", f"oak, whose map comes with the package, for this suite; found {scene!r}")
     measured = "all" if suite == "soak" else Path(scene if sequence is None else sequence.resolve()).stem
     measured = split if suite == "prediction" and not ahead else measured
     path = out / f"{suite}-{measured}.json"
@@ -120,6 +126,10 @@ def bench(
                 from vssm_gym.eval.bench.prediction.measure import measure as measure_prediction
 
                 result = measure_prediction(split=split, runs=count, seed=seed, folder=out, on_progress=progress)
+            elif suite == "beliefs":
+                from vssm_gym.eval.bench.pose_beliefs import compare as compare_beliefs
+
+                result = compare_beliefs(count, seed, on_progress=progress)
             else:
                 map_file = ensure_map(scene, out, voxel=DEFAULT_VOXEL, seed=seed, on_progress=progress)
                 result = _on_a_map(suite, scene, map_file, count, workers, seed, progress)
@@ -188,6 +198,9 @@ def _show(suite: str, result: dict[str, Any], console: Any) -> None:
         return
     if suite == "information":
         _show_information(table, result, console)
+        return
+    if suite == "beliefs":
+        _show_beliefs(table, result, console)
         return
     if suite == "soak":
         for name in ("environment", "scene", "steps", "episodes", "collisions", "deepest, mm"):
@@ -293,6 +306,17 @@ def _show_information(table: Any, result: dict[str, Any], console: Any) -> None:
     )
     console.print(f"recompilations for other candidates: {result['recompilations']}")
     console.print(f"machine: {result['machine']}")
+
+
+def _show_beliefs(table: Any, result: dict[str, Any], console: Any) -> None:
+    """Fill the table with one row for each Gaussian: means with standard errors, median, share."""
+    for name in ("Gaussian", "NEES / dim", "median", "inside 95 %", "-log q(true pose), nats"):
+        table.add_column(name, justify="left" if name == "Gaussian" else "right")
+    for name, of in result["beliefs"].items():
+        nees, surprise = (f"{of[key]:.2f} +- {of[f'{key}_error']:.2f}" for key in ("nees", "surprise"))
+        table.add_row(name, nees, f"{of['median_nees']:.2f}", f"{of['inside']:.0%}", surprise)
+    table.caption = f"{result['frames']} images"
+    console.print(table)
 
 
 def _written(value: float | int | str) -> str:

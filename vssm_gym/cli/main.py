@@ -48,6 +48,7 @@ COMMANDS: dict[str, Any] = {
         "flight": "study.flight",
         "relocalisation": "study.relocalisation",
         "smoothing": "study.smoothing",
+        "pose-flow": "study.pose_flow",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",

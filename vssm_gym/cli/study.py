@@ -397,3 +397,30 @@ def smoothing(
             say(line)
         say(study.answer)
         say(page)
+
+
+@interruptible()
+def pose_flow(out: Path, seed: int = 0) -> None:
+    """Fit Gaussians and a normalising flow to the pose of a camera that sees a ball and cannot tell from which side.
+
+    OUT gets pose-flow.json, pose-flow.svg and pose-flow.html: the evidence lower bound of each family, and how much of
+    the sphere of poses it covers.
+
+    Args:
+        out: folder for the results.
+        seed: of the image's noise and of the fits.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.eval.studies.page import study_folder, write_study
+    from vssm_gym.eval.studies.pose_flow import study as study_pose_flow
+    from vssm_gym.files.output_folders import check_at_least, check_folder
+
+    check_at_least("study", "seed", seed, 0)
+    check_folder(out)
+    with study_folder("pose-flow", out):
+        with progress_bars() as progress:
+            study = study_pose_flow.run(seed, on_progress=progress)
+        for line in _aligned([study.header, *study.lines]):
+            say(line)
+        say(study.answer)
+        say(write_study(study, out))

@@ -120,7 +120,38 @@ class RigidMotions:
         return RigidState(T_world_body, jnp.zeros(6))
 
 
-PLANAR, RIGID = PlanarPoses(), RigidMotions()
+@dataclass(frozen=True)
+class RigidPoses:
+    """Describe SE(3): states ``T_world_body`` (..., 4, 4); errors ``(dt, dr)`` (m, rad) in the body frame.
+
+    The pose of a :class:`RigidMotions` without its velocities, such as that of one image.
+    """
+
+    twists: ClassVar[np.ndarray] = np.eye(6)
+    turns: ClassVar[np.ndarray] = np.array([False, False, False, True, True, True])
+
+    def perturb(self, T_world_body: Float[Array, "*mean 4 4"], xi: Float[Array, "*batch 6"]) -> Array:
+        """``T exp(dt, dr)``."""
+        return T_world_body @ se3_exp(xi)
+
+    def error(self, mean: Float[Array, "*mean 4 4"], T_world_body: Float[Array, "*batch 4 4"]) -> Array:
+        """``log(T_mean^-1 T)``."""
+        return se3_log(inverse(mean) @ T_world_body)
+
+    def log_volume(self, xi: Float[Array, "*batch 6"]) -> Float[Array, "*batch"]:
+        """``log |det Jr|`` of SE(3; eq. M16)."""
+        return 2.0 * _turn_log_volume(jnp.sum(xi[..., 3:] ** 2, axis=-1))
+
+    def pose(self, T_world_body: Float[Array, "*batch 4 4"]) -> Float[Array, "*batch 4 4"]:
+        """Return the state itself."""
+        return T_world_body
+
+    def resting(self, T_world_body: Float[Array, "4 4"]) -> Float[Array, "4 4"]:
+        """Return the pose."""
+        return T_world_body
+
+
+PLANAR, RIGID, POSES = PlanarPoses(), RigidMotions(), RigidPoses()
 
 
 def _turn_log_volume(angle2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
