@@ -69,6 +69,7 @@ def bench(
 
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.sequences import load_sequence
+    from vssm_gym.errors import InputError
     from vssm_gym.eval.sweep.config import DEFAULT_VOXEL
     from vssm_gym.files.atomic import atomic_write
     from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, check_new_file, owned_folder
