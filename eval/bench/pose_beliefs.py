@@ -43,7 +43,7 @@ from vssm_gym.progress import OnProgress
 
 SCENE = "oak"  # whose learned map comes with the package
 SIZE = (160, 120)  # pixels
-PRIOR_STD = np.array([0.03] * 3 + [np.radians(1.5)] * 3)  # m, rad: the prediction of a filter that follows a hand
+PREDICTION_STD = np.array([0.03] * 3 + [np.radians(1.5)] * 3)  # m, rad: the prediction of a filter that follows a hand
 TILT = 0.2  # rad, standard deviation of the camera's tilt and roll
 LEAST_MEDIAN = 0.5  # m, of depth: nearer views are a surface in front of the lens
 BELIEFS = ("laplace", "variational", "filter")
@@ -94,7 +94,7 @@ def compare(
         planar = np.array([*free.sample(rng, 1)[0], rng.uniform(-np.pi, np.pi)])
         tilt = np.array([0.0, 0.0, 0.0, *rng.normal(0.0, TILT, 3)])
         T_true = planar_to_matrix(planar) @ robot.T_body_cam @ np.asarray(se3_exp(jnp.asarray(tilt, jnp.float32)))
-        off = rng.normal(0.0, PRIOR_STD)
+        off = rng.normal(0.0, PREDICTION_STD)
         T_prior = jnp.asarray(T_true, jnp.float32) @ se3_exp(jnp.asarray(off, jnp.float32))
         rgb, depth = rays.render(T_true)
         if np.median(depth) < LEAST_MEDIAN:
@@ -123,7 +123,7 @@ def beliefs(reference: ReferenceView, image: RGBD, camera: Camera, config: Track
         camera: of both.
         config: of the alignment.
     """
-    basis, P = jnp.eye(6), jnp.diag(jnp.asarray(PRIOR_STD, jnp.float32) ** 2)
+    basis, P = jnp.eye(6), jnp.diag(jnp.asarray(PREDICTION_STD, jnp.float32) ** 2)
     precision, settings = jnp.linalg.inv(P), config.align
     here = jnp.eye(4)
     T, info = align(here, precision, here, basis, reference.image, image, camera, settings)

@@ -17,13 +17,13 @@ from vssm_gym.model.emission_density import EmissionScales
 
 RADIUS = 0.4  # m, of the ball, whose centre is the world's origin
 DISTANCE = 1.5  # m, of the camera from it
-VOXEL, EXTENT = 0.05, 1.2  # m, of the map
+BALL_VOXEL, BALL_EXTENT = 0.05, 1.2  # m, of the map
 COLOUR = np.array([0.80, 0.20, 0.15])  # of the ball
-CERTAIN = 1e4  # precision of the cells: the map is known
+CELL_PRECISION = 1e4  # precision of the cells: the map is known
 TURN = (0.4, 0.9, 0.2)  # rad: the side that the camera is on
 # Free space gives no reading: where no surface is predicted, none is the rule.
-SCALES = EmissionScales(miss=0.02, empty_miss=0.98, outlier=0.02)
-CAMERA = Camera.from_hfov(20, 15, np.radians(70.0))
+BALL_SCALES = EmissionScales(miss=0.02, empty_miss=0.98, outlier=0.02)
+CAMERA = Camera.from_hfov(20, 15, np.radians(70.0))  # pixels, angle of view
 
 
 def true_pose() -> Float[np.ndarray, "4 4"]:
@@ -35,11 +35,11 @@ def true_pose() -> Float[np.ndarray, "4 4"]:
 
 def ball_map() -> VoxelMap:
     """Return the map of the ball: exact signed distances in its cells."""
-    m = VoxelMap.cube((0.0, 0.0, 0.0), EXTENT, VOXEL)
+    m = VoxelMap.cube((0.0, 0.0, 0.0), BALL_EXTENT, BALL_VOXEL)
     cells = np.stack(np.meshgrid(*(np.arange(n) for n in m.shape), indexing="ij"), axis=-1)
-    occupancy = RADIUS - np.linalg.norm(np.asarray(m.origin) + VOXEL * cells, axis=-1)
+    occupancy = RADIUS - np.linalg.norm(np.asarray(m.origin) + BALL_VOXEL * cells, axis=-1)
     colour = np.broadcast_to(COLOUR, (*m.shape, 3))
-    certain = jnp.full_like(m.occupancy_precision, CERTAIN)
+    certain = jnp.full_like(m.occupancy_precision, CELL_PRECISION)
     m = replace(
         m,
         occupancy_precision=certain,
@@ -57,17 +57,17 @@ def view(seed: int) -> View:
     """
     m, rng = ball_map(), np.random.default_rng(seed)
     exact = emission.render(m, jnp.asarray(true_pose(), jnp.float32), CAMERA)
-    hit = np.asarray(exact.hit) & (rng.uniform(size=exact.hit.shape) > SCALES.miss)
+    hit = np.asarray(exact.hit) & (rng.uniform(size=exact.hit.shape) > BALL_SCALES.miss)
     depth = np.asarray(exact.depth)
-    depth = np.where(hit, depth + rng.laplace(0.0, np.asarray(SCALES.depth_at(exact.depth))), 0.0)
-    rgb = np.clip(np.asarray(exact.rgb) + rng.normal(0.0, SCALES.rgb, (*hit.shape, 3)), 0.0, 1.0)
+    depth = np.where(hit, depth + rng.laplace(0.0, np.asarray(BALL_SCALES.depth_at(exact.depth))), 0.0)
+    rgb = np.clip(np.asarray(exact.rgb) + rng.normal(0.0, BALL_SCALES.rgb, (*hit.shape, 3)), 0.0, 1.0)
     image = RGBD(
         jnp.asarray(depth, jnp.float32),
         jnp.asarray(np.where(hit[..., None], rgb, 0.0), jnp.float32),
         jnp.asarray(hit),
         jnp.asarray(hit),
     )
-    return View(image, m, Rig.of(CAMERA), SCALES)
+    return View(image, m, Rig.of(CAMERA), BALL_SCALES)
 
 
 def ball_in_camera(T_world_cam: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 3"]:

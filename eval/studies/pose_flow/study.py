@@ -21,8 +21,8 @@ from vssm_gym.inference.smoothing.start_beliefs import start_beliefs
 from vssm_gym.model.transition.manifold import POSES
 from vssm_gym.progress import OnProgress
 
-PRIOR_STD = 1.5  # m, of each coordinate of the position about the ball; any rotation
-DRAWS = 2048  # draws of each posterior
+POSITION_STD = 1.5  # m, of each coordinate of the position about the ball; any rotation
+POSTERIOR_DRAWS = 2048  # draws of each posterior
 PATCHES = 100  # of equal area on the sphere of directions
 CENTRED = np.radians(2.0)  # the line of sight passes the ball's centre within this angle, and ...
 DISTANT = 0.05  # m: ... the distance is right within this
@@ -44,7 +44,7 @@ def run(seed: int = 0, on_progress: OnProgress | None = None) -> Study:
     """
     given = view(seed)
     keys = jax.random.split(jax.random.key(seed), 6)
-    prior = PoseFlow.around(keys[0], jnp.eye(4), PRIOR_STD)
+    prior = PoseFlow.around(keys[0], jnp.eye(4), POSITION_STD)
     fits = {
         "mean field": lambda: climb(keys[1], _mean_field(), prior, given, GAUSSIAN),
         "Gaussian": lambda: climb(keys[2], _around_the_ball(), prior, given, CORRELATED),
@@ -55,10 +55,10 @@ def run(seed: int = 0, on_progress: OnProgress | None = None) -> Study:
         found[name] = fitted()
         if on_progress:
             on_progress(name, done + 1, len(fits))
-    weighed = weigh(keys[4], found["flow"], prior, given, DRAWS)
-    evidence = float(jax.scipy.special.logsumexp(weighed.log_weight)) - float(np.log(DRAWS))
-    poses = {name: np.asarray(q.draw(keys[5], DRAWS).states[:, 0]) for name, q in found.items()}
-    elbos = {name: float(bound(keys[5], q, prior, given, DRAWS)) for name, q in found.items()}
+    weighed = weigh(keys[4], found["flow"], prior, given, POSTERIOR_DRAWS)
+    evidence = float(jax.scipy.special.logsumexp(weighed.log_weight)) - float(np.log(POSTERIOR_DRAWS))
+    poses = {name: np.asarray(q.draw(keys[5], POSTERIOR_DRAWS).states[:, 0]) for name, q in found.items()}
+    elbos = {name: float(bound(keys[5], q, prior, given, POSTERIOR_DRAWS)) for name, q in found.items()}
     figures: dict[str, dict[str, Any]] = {name: {"elbo": elbos[name], **_measured(poses[name])} for name in NAMES}
     starts = start_beliefs(keys[4], found["flow"], prior, given, (0.1, 0.1))
     figures["flow"]["effective"] = float(effective_share(weighed.log_weight))
@@ -70,13 +70,13 @@ def run(seed: int = 0, on_progress: OnProgress | None = None) -> Study:
         header=HEADER,
         lines=[_line(name, figures[name]) for name in NAMES],
         picture=draw(given.image, poses),
-        setting={"seed": seed, "prior_std": PRIOR_STD, "distance": DISTANCE},
+        setting={"seed": seed, "prior_std": POSITION_STD, "distance": DISTANCE},
         figures={"log_evidence": evidence, "by_family": figures},
         notes=(
             "One ball of one colour in free space, known, and one noisy image of it. The prior has the camera about "
-            f"the ball, with {PRIOR_STD:g} m in each coordinate, and any rotation. Covered: the exponential of the "
-            f"entropy of the sides of {DRAWS:,} draws over {PATCHES} equal patches of the sphere, divided by their "
-            "number. In the centre: the line of sight passes the centre of the ball within "
+            f"the ball, with {POSITION_STD:g} m in each coordinate, and any rotation. Covered: the exponential of the "
+            f"entropy of the sides of {POSTERIOR_DRAWS:,} draws over {PATCHES} equal patches of the sphere, divided by "
+            "their number. In the centre: the line of sight passes the centre of the ball within "
             f"{np.degrees(CENTRED):.0f} degrees, at the right distance within {100 * DISTANT:.0f} cm.",
             "The Gaussians start at the true pose: the mean field narrow, the one with correlations wide along the "
             "rotations about the ball, which are straight lines in the tangent of SE(3). Its bound counts a rotation "

@@ -45,7 +45,7 @@ def test_a_bad_seed_writes_nothing(tmp_path: Path) -> None:
 def test_the_study_runs_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A few steps from wide starts: every figure is defined, and the command writes them."""
     little = FitConfig(rounds=3, draws=64, fits=2, steps=3, samples=4)
-    for name, value in {"GAUSSIAN": little, "CORRELATED": little, "FLOW": little, "DRAWS": 64}.items():
+    for name, value in {"GAUSSIAN": little, "CORRELATED": little, "FLOW": little, "POSTERIOR_DRAWS": 64}.items():
         monkeypatch.setattr(pose_flow_study, name, value)
     commands.pose_flow(out=tmp_path / "out")
     stored = json.loads((tmp_path / "out" / "pose-flow.json").read_text())["figures"]

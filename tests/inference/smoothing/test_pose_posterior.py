@@ -22,7 +22,7 @@ from vssm_gym.inference.smoothing.pose_posterior import (
     fit,
     weigh,
 )
-from vssm_gym.inference.smoothing.start_beliefs import NEAR, start_beliefs
+from vssm_gym.inference.smoothing.start_beliefs import START_REACH, start_beliefs
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model import emission
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -132,7 +132,7 @@ def test_starts_are_defined_where_some_draws_are_not():
     start, *rest = start_beliefs(jax.random.key(1), q, Flat(), undefined_beyond(x), (0.1, 0.1))
     assert start.share + sum(other.share for other in rest) == pytest.approx(1.0, abs=1e-5)
     assert np.isfinite(start.belief.covariance).all()
-    assert x - NEAR[0] < float(start.belief.mean.T_world_body[0, 3]) < x
+    assert x - START_REACH[0] < float(start.belief.mean.T_world_body[0, 3]) < x
     assert start_beliefs(jax.random.key(1), q, Flat(), undefined_beyond(x - 9.0), (0.1, 0.1)) == []
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-ROUNDS = 6  # each a Gauss-Newton step whose terms are means over the belief
+VARIATIONAL_ROUNDS = 6  # each a Gauss-Newton step whose terms are means over the belief
 
 
 def variational_gaussian(
@@ -38,4 +38,4 @@ def variational_gaussian(
         covariance = 0.5 * (covariance + covariance.T)
         return (mean - covariance @ jnp.mean(g, axis=0), covariance), None
 
-    return jax.lax.scan(once, (mean, covariance), None, length=ROUNDS)[0]
+    return jax.lax.scan(once, (mean, covariance), None, length=VARIATIONAL_ROUNDS)[0]

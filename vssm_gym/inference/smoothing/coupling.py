@@ -2,8 +2,8 @@
 
     y = (x_2, ..., x_n, exp(a) f(x_1) + b),    |a| < 3,    a, b, f by a network of x_2, ..., x_n and a context
 
-``f`` is a monotonic rational-quadratic spline on ``[-REACH, REACH]`` and the identity outside (Durkan et al., NeurIPS
-2019). Each layer transforms the first coordinate and makes it the last, so that all layers are alike and stacked. Both
+``f`` is a monotonic rational-quadratic spline on ``[-4, 4]`` and the identity outside (Durkan et al., NeurIPS 2019).
+Each layer transforms the first coordinate and makes it the last, so that all layers are alike and stacked. Both
 directions are in closed form, and the Jacobian is triangular but for the order, so that a density is followed exactly.
 """
 
@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-REACH = 4.0  # standard deviations of a standard normal; what lies beyond is moved and scaled, but not bent
-BINS = 8  # of the spline
-LEAST = 1e-3  # share of a bin, and slope, at least: the inverse stays well conditioned
+SPLINE_REACH = 4.0  # standard deviations of a standard normal; what lies beyond is moved and scaled, but not bent
+SPLINE_BINS = 8  # of the spline
+LEAST_SHARE = 1e-3  # share of a bin, and slope, at least: the inverse stays well conditioned
 TURNS = 2  # times that each coordinate is transformed
-WIDTH = 32  # units of each of the two hidden layers of the network
+HIDDEN_UNITS = 32  # units of each of the two hidden layers of the network
 MOST_SCALE = (
     3.0  # nats, of a layer: unbounded, an exponential of what the last layer has scaled overflows for some draws
 )
@@ -41,7 +41,7 @@ class Couplings(eqx.Module):
             dim: coordinates of a point.
             context: length of the context; 0 for none.
         """
-        sizes = (dim - 1 + context, WIDTH, WIDTH, 3 * BINS + 1)
+        sizes = (dim - 1 + context, HIDDEN_UNITS, HIDDEN_UNITS, 3 * SPLINE_BINS + 1)
 
         def network(key: PRNGKeyArray) -> tuple[eqx.nn.Linear, ...]:
             keys = jax.random.split(key, len(sizes) - 1)
@@ -82,7 +82,7 @@ def _parameters(network: tuple[eqx.nn.Linear, ...], others: Array, context: Arra
     return (
         MOST_SCALE * jnp.tanh(out[0] / MOST_SCALE),
         out[1],
-        Knots.of(out[2 : 2 + BINS], out[2 + BINS : 2 + 2 * BINS], out[2 + 2 * BINS :]),
+        Knots.of(out[2 : 2 + SPLINE_BINS], out[2 + SPLINE_BINS : 2 + 2 * SPLINE_BINS], out[2 + 2 * SPLINE_BINS :]),
     )
 
 
@@ -96,17 +96,17 @@ class Knots(eqx.Module):
     @classmethod
     def of(cls, widths: Float[Array, "bins"], heights: Float[Array, "bins"], slopes: Float[Array, "inner"]) -> "Knots":
         """Return the spline of unconstrained numbers; that of zeros is the identity."""
-        share = lambda free: LEAST + (1.0 - LEAST * BINS) * jax.nn.softmax(free)
+        share = lambda free: LEAST_SHARE + (1.0 - LEAST_SHARE * SPLINE_BINS) * jax.nn.softmax(free)
         edges = lambda free: (
-            REACH * jnp.concatenate([-jnp.ones(1), 2.0 * jnp.cumsum(share(free))[:-1] - 1.0, jnp.ones(1)])
+            SPLINE_REACH * jnp.concatenate([-jnp.ones(1), 2.0 * jnp.cumsum(share(free))[:-1] - 1.0, jnp.ones(1)])
         )
-        inner = LEAST + (1.0 - LEAST) * jax.nn.softplus(slopes + SLOPE_SHIFT)
+        inner = LEAST_SHARE + (1.0 - LEAST_SHARE) * jax.nn.softplus(slopes + SLOPE_SHIFT)
         return cls(edges(widths), edges(heights), jnp.concatenate([jnp.ones(1), inner, jnp.ones(1)]))
 
 
 def spline(x: Float[Array, ""], knots: Knots) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Return ``f(x)`` and ``log f'(x)``."""
-    inside = jnp.abs(x) < REACH
+    inside = jnp.abs(x) < SPLINE_REACH
     at = jnp.where(inside, x, 0.0)
     x0, y0, width, height, left, right = _bin(at, knots.x, knots)
     t, mean = (at - x0) / width, height / width
@@ -119,7 +119,7 @@ def spline(x: Float[Array, ""], knots: Knots) -> tuple[Float[Array, ""], Float[A
 
 def spline_inverse(y: Float[Array, ""], knots: Knots) -> Float[Array, ""]:
     """Return ``x`` with ``f(x) = y``: the root of a quadratic in its bin, by the stable formula."""
-    inside = jnp.abs(y) < REACH
+    inside = jnp.abs(y) < SPLINE_REACH
     at = jnp.where(inside, y, 0.0)
     x0, y0, width, height, left, right = _bin(at, knots.y, knots)
     mean, off = height / width, at - y0
@@ -131,6 +131,6 @@ def spline_inverse(y: Float[Array, ""], knots: Knots) -> Float[Array, ""]:
 
 def _bin(at: Array, edges: Array, knots: Knots) -> tuple[Array, ...]:
     """Return the bin of a point by one axis' edges: its corner, width, height, and slopes at its ends."""
-    k = jnp.clip(jnp.searchsorted(edges, at, side="right") - 1, 0, BINS - 1)
+    k = jnp.clip(jnp.searchsorted(edges, at, side="right") - 1, 0, SPLINE_BINS - 1)
     x, y, slope = knots.x, knots.y, knots.slope
     return x[k], y[k], x[k + 1] - x[k], y[k + 1] - y[k], slope[k], slope[k + 1]

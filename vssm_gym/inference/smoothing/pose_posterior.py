@@ -26,7 +26,7 @@ from vssm_gym.model import emission
 from vssm_gym.model.emission import MAX_DEPTH, RGBD
 from vssm_gym.model.emission_density import EmissionScales, log_prob
 
-CHUNK = 64  # poses rendered together: more take more memory, not less time
+RENDERED_TOGETHER = 64  # poses rendered together: more take more memory, not less time
 HALVINGS = 30  # of the interval of a trust region's exponent, which reaches down to LEAST_EXPONENT
 NO_WEIGHT = -1e9  # nats, of a draw without a density: finite, since 0 times infinity is undefined; no part in a softmax
 LEAST_EXPONENT = 1e-5  # of the posterior in a step of :func:`approach`
@@ -158,7 +158,7 @@ def weigh(key: PRNGKeyArray, q: PoseFlow, prior: Prior, likelihood: Likelihood, 
         samples: drawn.
     """
     drawn = q.sample_with_log_prob(key, samples)
-    of_image = jax.lax.map(likelihood.log_prob, drawn.poses, batch_size=CHUNK)
+    of_image = jax.lax.map(likelihood.log_prob, drawn.poses, batch_size=RENDERED_TOGETHER)
     log_joint = of_image + prior.log_prob(drawn.poses)
     log_weight = log_joint - drawn.log_prob
     defined = jnp.isfinite(log_weight) & jnp.all(jnp.isfinite(drawn.poses), axis=(1, 2))

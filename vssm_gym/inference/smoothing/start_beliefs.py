@@ -19,11 +19,11 @@ from vssm_gym.inference.tracking.camera_filter import at_rest
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import POSES, RIGID
 
-NEAR = (0.3, 0.35)  # m, rad: a filter's alignment reaches poses within both
+START_REACH = (0.3, 0.35)  # m, rad: a filter's alignment reaches poses within both
 KEPT = 8  # Gaussians
-DRAWS = 2048  # of the posterior
+START_DRAWS = 2048  # of the posterior
 LEAST_STD = 1e-3  # m, rad, added in squares: so much is a map of cells of 5 cm off at least
-MEAN_STEPS = 3  # iterations of a mean on the manifold
+START_MEAN_STEPS = 3  # iterations of a mean on the manifold
 
 
 class Start(NamedTuple):
@@ -50,7 +50,7 @@ def start_beliefs(
         likelihood: of the image.
         velocity: standard deviations of the linear (m/s) and the angular (rad/s) velocity.
     """
-    mean, covariance, share = _parted(*weigh(key, q, prior, likelihood, DRAWS))
+    mean, covariance, share = _parted(*weigh(key, q, prior, likelihood, START_DRAWS))
     order = [int(k) for k in jnp.argsort(-share) if share[k] > 0.0]
     return [Start(at_rest(RIGID, mean[k], covariance[k], velocity), float(share[k])) for k in order]
 
@@ -64,11 +64,12 @@ def _parted(
     def part(left: Array, _: None) -> tuple[Array, tuple[Array, Array, Array]]:
         mean = poses[jnp.argmax(jnp.where(left > 0.0, log_joint, -jnp.inf))]
         xi = POSES.error(mean, poses)
-        near = (jnp.linalg.norm(xi[:, :3], axis=1) < NEAR[0]) & (jnp.linalg.norm(xi[:, 3:], axis=1) < NEAR[1])
+        away, turned = (jnp.linalg.norm(half, axis=1) for half in (xi[:, :3], xi[:, 3:]))
+        near = (away < START_REACH[0]) & (turned < START_REACH[1])
         weight = jnp.where(near, left, 0.0)
         share = jnp.sum(weight)
         weight = weight / jnp.maximum(share, 1e-30)
-        for _step in range(MEAN_STEPS):
+        for _step in range(START_MEAN_STEPS):
             mean = POSES.perturb(mean, weight @ POSES.error(mean, poses))
         xi = POSES.error(mean, poses)
         covariance = (weight[:, None] * xi).T @ xi + LEAST_STD**2 * jnp.eye(6)
