@@ -84,7 +84,8 @@ def read_judged(path: Path, stored: TransitionFile, fit: Sequence[Path] = ()) ->
     data = windows(judged, manifold, length)
     begins = np.concatenate([steps.begin + dt * np.arange(len(steps) - length + 1) for steps in judged])
     chosen = evenly_spread(len(data), MOST_STARTS)
-    notices, learned_from = (), stored.trained.get("data")
+    notices: tuple[str, ...] = ()
+    learned_from = stored.trained.get("data")
     if isinstance(learned_from, list) and path.name in learned_from:
         notices = (f"the transition was learned from a log named {path.name}: if it is this one, it has been seen",)
     return Judged(
