@@ -96,12 +96,11 @@ def measured_noise(stored: TransitionFile, path: Path) -> tuple[float, float]:
         InputError: the file does not state them.
     """
     stds = stored.trained.get("measured_stds")
-    numbers = (
-        [std for std in stds if type(std) in (int, float) and 0.0 <= std < np.inf] if isinstance(stds, list) else []
-    )
-    if len(numbers) != 2 or numbers != stds:
-        raise InputError(path, "measured_stds", "two numbers, m and rad, as `vssm-gym train-dynamics` writes them")
-    return float(numbers[0]), float(numbers[1])
+    if isinstance(stds, list) and len(stds) == 2 and all(type(std) in (int, float) for std in stds):
+        position, rotation = (float(std) for std in stds)
+        if 0.0 <= position < np.inf and 0.0 <= rotation < np.inf:
+            return position, rotation
+    raise InputError(path, "measured_stds", "two numbers, m and rad, as `vssm-gym train-dynamics` writes them")
 
 
 class _Counted:

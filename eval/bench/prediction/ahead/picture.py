@@ -1,7 +1,6 @@
 """Draw predicted paths with their envelopes against the truth, and errors and coverage against the steps ahead."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,8 +27,7 @@ def picture(judged: Judged, foreseen: Mapping[str, Foreseen]) -> bytes:
         foreseen: by model.
     """
     figure = Figure(figsize=(10.0, 7.6), layout="constrained")
-    parts: Any = figure.subfigures(2, 1, height_ratios=(1.45, 1.0))
-    above, below = parts
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.45, 1.0))[:, 0]
     shown = next(iter(foreseen.values())).paths
     for ax, place in zip(above.subplots(1, len(shown), squeeze=False)[0], range(len(shown)), strict=True):
         _paths(ax, {name: states.paths[place] for name, states in foreseen.items()})
