@@ -94,6 +94,7 @@ def test_intrinsics_are_learned_where_asked() -> None:
     np.testing.assert_allclose(focal, 6.0, atol=0.12)  # 2 %; the walls are cells of 15 cm
 
 
+@pytest.mark.slow
 def test_a_network_of_colours_learns_what_the_images_show() -> None:
     """Poses and shape are known. The network begins grey; seen walls come nearer to their colours, in the map too."""
     grey = ColourNetwork.grey(jax.random.key(3), known_map(), width=64, layers=3)
