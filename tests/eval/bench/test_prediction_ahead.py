@@ -31,7 +31,7 @@ from vssm_gym.model.transition.learned import LearnedTransition, Scales, untrain
 from vssm_gym.model.transition.learned_file import TransitionFile, calibrated, load_transition, save_transition
 from vssm_gym.model.transition.manifold import RigidState
 from vssm_gym.slam.map_building import map_from_frames
-from vssm_gym.training.dynamics import fit
+from vssm_gym.training.dynamics import calibration
 from vssm_gym.training.dynamics.calibration import with_gain
 from vssm_gym.training.dynamics.windows import Windows
 
@@ -48,7 +48,7 @@ def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(states, "FUTURES", 96)
     monkeypatch.setattr(states, "IMAGE_SAMPLES", 8)
     monkeypatch.setattr(images, "PIXEL_STRIDE", 1)
-    monkeypatch.setattr(fit, "CALIBRATED_ON", 6)
+    monkeypatch.setattr(calibration, "CALIBRATED_ON", 6)
 
 
 def correcting_nothing(kind: str = "holonomic", stds: float = 0.01, size: int = 1) -> LearnedTransition:
