@@ -431,9 +431,16 @@ INFERENCE = (
     Mutant(
         "divergence-of-one-colour-channel",
         "vssm_gym/inference/smoothing/elbo.py",
-        "occupancy + jnp.sum(colour, axis=1)",
-        "occupancy + colour[:, 0]",
+        "cells + jnp.sum(_divergence(q.colour, precisions[0], prior.colour, precisions[1]), axis=1)",
+        "cells + _divergence(q.colour, precisions[0], prior.colour, precisions[1])[:, 0]",
         (f"{OF_SMOOTHING}/test_elbo.py::test_the_map_term_counts_stored_cells_of_every_channel",),
+    ),
+    Mutant(
+        "smoothed-states-of-one-iteration",
+        "vssm_gym/inference/smoothing/gauss_newton.py",
+        "manifold.perturb(states[-1], jnp.mean(errors, axis=0))",
+        "manifold.perturb(states[-1], errors[0])",
+        (f"{OF_SMOOTHING}/test_gauss_newton.py::test_the_mean_of_states_on_both_sides_is_between_them",),
     ),
     Mutant(
         "map-draw-mixed-once",
