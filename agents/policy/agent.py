@@ -15,6 +15,7 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.policy import policy_file
+from vssm_gym.agents.policy.command_history import CommandHistory
 from vssm_gym.agents.policy.features import features, relative, size_of
 from vssm_gym.agents.shared.localization import FilteredPose, Localization
 from vssm_gym.agents.shared.navigation_config import NavigationConfig
@@ -53,6 +54,7 @@ class PolicyAgent:
         self._check(context, observation)
         self._context = context
         self._command: np.ndarray | None = None
+        self._history = CommandHistory(1)
         self._estimate = self._localizer.reset(context, observation)
         spec = self.policy.spec
         self._seen = np.zeros((spec.frames, size_of(spec.parts)), np.float32)
@@ -80,6 +82,7 @@ class PolicyAgent:
         else:
             activity, stop, command = "driving", False, self.policy(self._seen.reshape(-1))
         self._command = sent = np.asarray(command, np.float32)
+        self._history.add(sent[None])
         latency = {"tracking": tracked - began, "control": time.perf_counter() - tracked}
         status = f"{activity}; localization: {estimate.status}"
         action = np.array([*sent, float(stop)], np.float32)
@@ -93,11 +96,13 @@ class PolicyAgent:
             observations: of ``vssm_gym/WorldModelNav-v0``, whose poses are estimates already.
 
         Raises:
-            InputError: a policy of several steps, whose input is no single observation.
+            InputError: a policy whose input is no single observation: of several steps, or of its last commands.
         """
         spec = self.policy.spec
         if spec.frames != 1:
             raise InputError(spec.name, "frames", f"a policy of one observation; it reads {spec.frames}")
+        if "commands" in spec.parts:
+            raise InputError(spec.name, "inputs", "a policy of one observation; it reads its last commands as well")
         return np.asarray(self.policy(features(observations, spec.parts)))
 
     def _look(self, observation: Observation, goal: np.ndarray, estimate: Localization) -> None:
@@ -107,6 +112,7 @@ class PolicyAgent:
             "goal": goal,
             "pose": estimate.planar,
             "pose_std": body_std(estimate),
+            "commands": self._history.commands[0],
         }
         self._seen = np.roll(self._seen, -1, axis=0)
         self._seen[-1] = features(shown, spec.parts)

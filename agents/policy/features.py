@@ -5,10 +5,12 @@
     pose   44: cos, sin of the heading; cos, sin of the goal's direction in the map frame; waves of (x, y), of the goal
                waves(p) = [sin, cos](2 pi p / L) for L = 32, 16, 8, 4, 2 m, along x and along y
     pose_std 3: of the estimate's error, forward and to the left in decimetres, turn in tenths of a radian
+    commands 12: the last four, newest first: turn / 0.2 rad, direction / 0.1 rad, step / 0.2 m; zeros before the first
 
-The vector is the same in training, in imagination and on the robot. The pose is the estimated one. Waves let a small
-network distinguish places finely ("random Fourier features", Tancik et al., 2020; here with fixed lengths), which it
-learns far more slowly from x and y alone.
+Without the commands a policy cannot tell what a drive that lags has yet to do. The vector is the same in training, in
+imagination and on the robot. The pose is the estimated one. Waves let a small network distinguish places finely
+("random Fourier features", Tancik et al., 2020; here with fixed lengths), which it learns far more slowly from x and y
+alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +24,9 @@ from vssm_gym.geometry.scan import BEAMS
 HALF_DISTANCE = 0.5  # m, at which the nearness of a distance is one half
 APARTMENT_SIZE = 10.0  # m, of the order of an apartment
 WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m, from the size of a house to that of a passage
-SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3}
+LAST_COMMANDS = 4  # of steps of 0.2 s: a drive that follows within 0.4 s has reached the fifth last one to 0.9
+COMMAND_UNITS = np.array([0.2, 0.1, 0.2])  # rad, rad, m: of the order of the holonomic robot's limits
+SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3, "commands": 3 * LAST_COMMANDS}
 """Length of each part of the vector, in the order of the vector."""
 
 
@@ -36,12 +40,12 @@ def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Flo
 
     Args:
         observation: ``scan (*batch, 64)`` z-depths in m, 0 = no measurement; ``goal (*batch, 3)`` distance in m, cos
-        and
-            sin of the bearing; ``pose (*batch, 3)`` x, y (m), heading (rad), map frame; ``pose_std (*batch, 3)``
-            forward, left (m), turn (rad). The entries of ``parts`` are read, and with the pose also the goal.
+            and sin of the bearing; ``pose (*batch, 3)`` x, y (m), heading (rad), map frame; ``pose_std (*batch, 3)``
+            forward, left (m), turn (rad); ``commands (*batch, 4, 3)`` turn, direction (rad), step (m). The entries of
+            ``parts`` are read, and with the pose also the goal.
         parts: some of SIZES, in any order.
     """
-    makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std}
+    makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std, "commands": _commands}
     made = [makers[part](observation) for part in SIZES if part in parts]
     return np.concatenate(made, axis=-1).astype(np.float32)
 
@@ -78,6 +82,11 @@ def _pose(observation: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _pose_std(observation: Mapping[str, np.ndarray]) -> np.ndarray:
     return 10.0 * observation["pose_std"]
+
+
+def _commands(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+    scaled = observation["commands"] / COMMAND_UNITS
+    return scaled.reshape(*scaled.shape[:-2], -1)
 
 
 def _waves(xy: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import pytest
 from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.agent import PolicyAgent, body_std, stop_radius
+from vssm_gym.agents.policy.command_history import CommandHistory
 from vssm_gym.agents.policy.features import SIZES, WAVES, features, relative, size_of
 from vssm_gym.agents.policy.policy_file import Policy, PolicySpec
 from vssm_gym.agents.registry import agent_type, make_agent
@@ -122,7 +123,34 @@ def test_the_uncertainty_is_in_the_bodys_frame():
     np.testing.assert_allclose(std, [0.04 * np.cos(np.pi / 6.0), 0.02, 0.02])
     shown = {"goal": np.array([1.0, 1.0, 0.0]), "pose_std": std}
     np.testing.assert_allclose(features(shown, ("goal", "pose_std"))[4:], 10.0 * std, atol=1e-6)
-    assert sum(SIZES.values()) == 115
+    assert sum(SIZES.values()) == 127
+
+
+def test_commands_are_scaled_newest_first():
+    history = CommandHistory(2)
+    for sent in ([0.2, 0.0, 0.1], [0.1, -0.05, 0.2]):
+        history.add(np.array([sent, sent]))
+    history.begin(np.array([False, True]))
+    shown = {"goal": np.tile([1.0, 1.0, 0.0], (2, 1)), "commands": history.commands}
+    found = features(shown, ("goal", "commands"))[:, 4:]
+    np.testing.assert_allclose(found[0], [0.5, -0.5, 1.0, 1.0, 0.0, 0.5, *[0.0] * 6], atol=1e-6)
+    np.testing.assert_array_equal(found[1], 0.0)
+
+
+def test_a_policy_of_commands_is_shown_what_it_has_sent():
+    p = policy(parts=("goal", "commands"), frames=1)
+    agent = agent_of(p)
+    for _ in range(2):  # nothing is left of the last episode
+        agent.reset(context(), observation(), 0)
+        history = CommandHistory(1)
+        for i in range(6):
+            seen = observation(i)
+            rim = stop_radius(0.4, agent._localizer.belief)  # type: ignore[attr-defined]
+            goal = relative(np.array([0.5, 0.2, 0.3]), seen["goal"], 0.4 - rim)
+            expected = p(features({"goal": goal, "commands": history.commands[0]}, p.spec.parts))
+            sent = agent.act(seen).action[:3]
+            np.testing.assert_allclose(sent, expected, atol=1e-6)
+            history.add(sent[None])
 
 
 def test_features_of_a_batch_are_those_of_each():
@@ -329,3 +357,5 @@ def test_imagined_robots_are_commanded_by_the_network_alone():
         np.testing.assert_allclose(command, one(features(alone, one.spec.parts)), atol=1e-6)
     with pytest.raises(InputError, match="frames: expected a policy of one observation; it reads 4"):
         PolicyAgent(policy(frames=4)).commands(seen)
+    with pytest.raises(InputError, match="inputs: expected a policy of one observation; it reads its last commands"):
+        PolicyAgent(policy(frames=1, parts=("goal", "commands"))).commands(seen)

@@ -17,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from tests.chaos.disks import largest_file
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.agents.policy import policy_file
-from vssm_gym.agents.policy.features import features
+from vssm_gym.agents.policy.features import LAST_COMMANDS, features
 from vssm_gym.cli.train import _summary, _times
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.geometry.scan import BEAMS
@@ -158,7 +158,10 @@ BASE = "name: a\nsteps: 10\nalgorithm: {name: ppo}\n"
         (BASE.replace("ppo", "dqn") + "environment: {map: m.npz}\n", "algorithm: expected"),
         (BASE.replace("{name: ppo}", "{name: ppo, tau: 1}") + "environment: {map: m.npz}\n", "algorithm.ppo.tau"),
         (BASE.replace("ppo", "bc") + "environment: {id: vssm_gym/PointNav-v0, scene: oak}\n", "the expert plans"),
-        (BASE + "environment: {id: vssm_gym/PointNavGPS-v0, scene: oak}\n", "policy.inputs: expected scan and goal"),
+        (
+            BASE + "environment: {id: vssm_gym/PointNavGPS-v0, scene: oak}\n",
+            "policy.inputs: expected scan, goal and commands",
+        ),
         (
             BASE + "environment: {id: vssm_gym/PointNavGPS-v0, scene: oak, images: []}\n",
             "no 'images': training sets it",
@@ -227,6 +230,24 @@ def test_a_view_has_features_and_marks_arrivals():
     assert infos[0] == {}
     assert infos[3]["is_success"].tolist() == [True, False] and infos[3]["_is_success"].tolist() == [True, False]
     assert infos[11]["_is_success"][1] and not infos[11]["is_success"][1]
+
+
+def test_a_view_shows_the_last_commands_of_an_episode():
+    """Newest first, as the environment gets them; none is left where an episode begins."""
+    where = EnvironmentSettings(id="vssm_gym/PointNav-v0", scene="fern", num_envs=2, max_episode_steps=3)
+    env = PolicyView(make_observing(where), ("goal", "commands"))
+    env.reset(seed=0)
+    rng, sent = np.random.default_rng(0), []
+    for step in range(1, 7):
+        actions = rng.uniform(-1.0, 1.0, (2, 3))
+        sent = [commands(actions)[:, :3], *sent] if step != 4 else []  # the fourth step begins the next episode
+        env.step(actions)
+        expected = np.zeros((2, LAST_COMMANDS, 3))
+        expected[:, : len(sent)] = np.stack(sent, axis=1)[:, :LAST_COMMANDS] if sent else 0.0
+        np.testing.assert_allclose(env.shown["commands"], expected, atol=1e-6)
+    env.reset(options={"reset_mask": np.array([True, False])})
+    assert (env.shown["commands"][0] == 0.0).all() and (env.shown["commands"][1] != 0.0).any()
+    env.close()
 
 
 def test_collisions_have_the_configured_cost():

@@ -35,7 +35,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Widths = Annotated[tuple[Annotated[int, Field(ge=1, le=4096)], ...], BeforeValidator(as_tuple), Field(max_length=8)]
 Inputs = Annotated[
-    tuple[Literal["scan", "goal", "pose", "pose_std"], ...],
+    tuple[Literal["scan", "goal", "pose", "pose_std", "commands"], ...],
     BeforeValidator(as_tuple),
     AfterValidator(distinct),
     Field(min_length=1),
@@ -164,8 +164,8 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
         raise InputError(path, "environment.map", "a map file, here or as --map; `vssm-gym map build` makes one")
     if where.id != WORLD_MODEL and where.scene is None:
         raise InputError(path, "environment.scene", "a scene")
-    if where.id == SENSED and (unseen := sorted(set(config.policy.inputs) - {"scan", "goal"})):
-        raise InputError(path, "policy.inputs", f"scan and goal; {SENSED} does not observe {unseen[0]!r}")
+    if where.id == SENSED and (unseen := sorted(set(config.policy.inputs) - {"scan", "goal", "commands"})):
+        raise InputError(path, "policy.inputs", f"scan, goal and commands; {SENSED} does not observe {unseen[0]!r}")
     if map_file is not None:
         where = where.model_copy(update={"map": str(shipped(map_file, MAPS).resolve())})
     if where.transition is not None:

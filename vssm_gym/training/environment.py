@@ -17,6 +17,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 import vssm_gym  # noqa: F401  (registers the environments)
+from vssm_gym.agents.policy.command_history import CommandHistory
 from vssm_gym.agents.policy.features import features, size_of
 from vssm_gym.envs.conventions.actions import from_unit
 from vssm_gym.envs.robots import HolonomicRobot
@@ -64,13 +65,14 @@ class PolicyView(VectorWrapper):
         contact_cost: subtracted from the reward of a step in contact, because trackers lose track in collisions.
 
     Attributes:
-        shown: the last observations of ``env``, unchanged.
+        shown: the last observations of ``env``, and the last commands.
     """
 
     def __init__(self, env: VectorEnv, parts: tuple[str, ...], contact_cost: float = 0.0) -> None:
         super().__init__(env)
         self.parts, self.contact_cost = parts, contact_cost
         self.shown: dict[str, np.ndarray] = {}
+        self._history = CommandHistory(self.num_envs)
         size = size_of(parts)
         self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -79,16 +81,24 @@ class PolicyView(VectorWrapper):
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin episodes; infos are empty."""
-        self.shown, _ = self.env.reset(seed=seed, options=options)
-        return features(self.shown, self.parts), {}
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return self._features(observations, infos), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, Any, Any, Any, dict[str, Any]]:
         """Carry out actions in [-1, 1]; infos state whether ended episodes succeeded."""
-        observations, rewards, terminated, truncated, infos = self.env.step(commands(actions))
+        sent = commands(actions)
+        self._history.add(sent[:, :3])
+        observations, rewards, terminated, truncated, infos = self.env.step(sent)
         rewards = rewards - self.contact_cost * np.asarray(infos["collision"])
-        self.shown, ended = observations, terminated | truncated
+        ended = terminated | truncated
         success = {"is_success": terminated.copy(), "_is_success": ended} if ended.any() else {}  # it ends on arrival
-        return features(observations, self.parts), rewards, terminated, truncated, success
+        return self._features(observations, infos), rewards, terminated, truncated, success
+
+    def _features(self, observations: dict[str, np.ndarray], infos: dict[str, Any]) -> np.ndarray:
+        """Return the vectors; robots whose episode has begun have no last command."""
+        self._history.begin(np.asarray(infos.get("_start_pose", np.zeros(self.num_envs, bool))))
+        self.shown = observations | {"commands": self._history.commands}
+        return features(self.shown, self.parts)
 
 
 def commands(actions: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.agents.policy.agent import stop_radius
+from vssm_gym.agents.policy.command_history import CommandHistory
 from vssm_gym.agents.policy.features import features, size_of
 from vssm_gym.agents.policy.policy_file import Policy
 from vssm_gym.agents.shared.localization import Localization
@@ -83,6 +84,7 @@ def imagine(
     spec, radius = policy.spec, env.success_radius
     farther = radius - stop_radius(radius, Localization(np.zeros(3), np.array(POSE_STD), Status.OK))
     seen = np.zeros((n, spec.frames, size_of(spec.parts)), np.float32)
+    history = CommandHistory(n)
     at = env.planar[:, :2]
     driven, gained = np.zeros(n), np.zeros(n)
     steps, collisions = np.zeros(n, int), np.zeros(n, int)
@@ -92,9 +94,11 @@ def imagine(
         goal = observation["goal"].astype(np.float64)
         goal[:, 0] += farther
         seen = np.roll(seen, -1, axis=1)
-        seen[:, -1] = features({**observation, "goal": goal}, spec.parts)
+        seen[:, -1] = features({**observation, "goal": goal, "commands": history.commands}, spec.parts)
         stop = goal[:, 0] <= radius
-        action = np.concatenate([policy(seen.reshape(n, -1)), stop[:, None]], axis=1)
+        command = policy(seen.reshape(n, -1))
+        history.add(command)
+        action = np.concatenate([command, stop[:, None]], axis=1)
         if spectator is not None:
             spectator(ImaginedStep(number, env.planar, observation, collided, stop))
         observation, reward, terminated, truncated, infos = env.step(action.astype(np.float32))
