@@ -30,6 +30,7 @@ RENDERED_TOGETHER = 64  # poses rendered together: more take more memory, not le
 HALVINGS = 30  # of the interval of a trust region's exponent, which reaches down to LEAST_EXPONENT
 NO_WEIGHT = -1e9  # nats, of a draw without a density: finite, since 0 times infinity is undefined; no part in a softmax
 LEAST_EXPONENT = 1e-5  # of the posterior in a step of :func:`approach`
+LAST_RATE = 0.01  # of a decaying rate, as a share of the first
 CLIPPED = 100.0  # norm of a gradient, nats per unit: a pose that hits a ray's edge has a far larger one
 
 Family = TypeVar("Family", bound=TrajectoryBelief)
@@ -98,11 +99,12 @@ class FitConfig:
         rounds: of :func:`approach`.
         draws: of each round.
         fits: steps of Adam in each round, on its draws.
-        fit_rate: of these steps.
+        fit_rate: of these steps in the first half of the rounds. It then falls along a cosine, so that the noise of the
+            draws averages out.
         effective: share of the draws that a round's weights must leave, which bounds how far it goes.
         steps: of :func:`climb`.
         samples: drawn in each.
-        rate: of Adam at first; it falls to a hundredth along a cosine.
+        rate: of Adam at first; it falls along a cosine. A large one moves the shares of modes that lie apart.
         heat: factor by which scales are wide, and the likelihood is flat, at first.
         annealed: share of the steps after which the likelihood is the model's.
     """
@@ -182,7 +184,10 @@ def approach(
         likelihood: of the image; its gradient is not used.
         config: effort.
     """
-    optimiser = optax.chain(optax.clip_by_global_norm(10.0), optax.adam(config.fit_rate))
+    half = config.rounds * config.fits // 2
+    falling = optax.cosine_decay_schedule(config.fit_rate, max(half, 1), LAST_RATE)
+    rate = optax.join_schedules([optax.constant_schedule(config.fit_rate), falling], [half])
+    optimiser = optax.chain(optax.clip_by_global_norm(10.0), optax.adam(rate))
 
     def once(carry: tuple[PoseFlow, Any], key: PRNGKeyArray) -> tuple[tuple[PoseFlow, Any], None]:
         poses, log_weight, _ = weigh(key, carry[0], prior, likelihood, config.draws)
@@ -208,7 +213,7 @@ def climb(
         likelihood: of the image.
         config: effort and annealing.
     """
-    rate = optax.cosine_decay_schedule(config.rate, config.steps, 0.01)
+    rate = optax.cosine_decay_schedule(config.rate, config.steps, LAST_RATE)
     optimiser = optax.chain(optax.clip_by_global_norm(CLIPPED), optax.adam(rate))
 
     def step(carry: tuple[Family, Any], now: tuple[Array, Array]) -> tuple[tuple[Family, Any], None]:
