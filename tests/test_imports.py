@@ -51,6 +51,8 @@ ALLOWED["data.sequences"] = BASE | _READ
 ALLOWED["data.colour_rig"] = BASE | {"data.intrinsics", "envs"}
 ALLOWED["data.dynamics"] = BASE | {"data.trajectories", "data.sequences"}
 ALLOWED["data.handheld"] = ALLOWED["data.wandering"] = BASE | {"envs"}
+ALLOWED["data.laser_logs"] = set(BASE)
+ALLOWED["data.traversals"] = BASE | {"data.laser_logs", "envs"}
 ALLOWED["data.recording"] = BASE | {
     "data.handheld",
     "data.wandering",

@@ -24,7 +24,7 @@ from vssm_gym.geometry.scan import BEAMS
 HALF_DISTANCE = 0.5  # m, at which the nearness of a distance is one half
 APARTMENT_SIZE = 10.0  # m, of the order of an apartment
 WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m, from the size of a house to that of a passage
-LAST_COMMANDS = 4  # of steps of 0.2 s: a drive that follows within 0.4 s has reached the fifth last one to 0.9
+LAST_COMMANDS = 4  # steps of 0.2 s: a drive with a lag of 0.4 s has carried out 0.92 of the command before them
 COMMAND_UNITS = np.array([0.2, 0.1, 0.2])  # rad, rad, m: of the order of the holonomic robot's limits
 SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3, "commands": 3 * LAST_COMMANDS}
 """Length of each part of the vector, in the order of the vector."""

@@ -137,7 +137,7 @@ def test_the_decorator_finds_the_output_and_keeps_other_errors(tmp_path, monkeyp
     (tmp_path / "steps.txt").write_text("1\n")
 
     @interruptible("steps.txt")
-    def walk(error: type[BaseException], out: Path = tmp_path, resume: bool = False) -> None:
+    def walk(error: type[BaseException] | BaseException, out: Path = tmp_path, resume: bool = False) -> None:
         """Walk."""
         raise error
 
@@ -147,6 +147,8 @@ def test_the_decorator_finds_the_output_and_keeps_other_errors(tmp_path, monkeyp
     assert str(found.value) == f"{kept}; continue with: vssm-gym walk --resume"
     with pytest.raises(ZeroDivisionError):
         walk(ZeroDivisionError)
+    with pytest.raises(Interrupted, match="^it keeps the best so far$"):  # what the command says itself stays
+        walk(Interrupted("it keeps the best so far"))
 
 
 @pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN], ids=["foreground", "background"])

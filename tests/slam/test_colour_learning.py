@@ -23,7 +23,7 @@ def slam(folder: Path, out: Path) -> None:
 
 def test_numbers_that_stay_near_the_prior_are_not_told() -> None:
     std = PRIOR_STD * np.array([0.1] * 5 + [0.6] + [0.1] * 4)
-    learned = LearnedColour(ColourCalibration(STATED), ColourCalibration(TRUE, std=std), 2, 1.0)
+    learned = LearnedColour(ColourCalibration(STATED), ColourCalibration(TRUE, std=std), 2, True, 1.0)
     rows = {row.name: row for row in learned.parameters}
     assert [name for name, row in rows.items() if not row.told] == ["rotation z"]
     assert abs(rows["translation x"].learned - 25.0) < 0.1  # mm

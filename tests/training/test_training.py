@@ -151,6 +151,7 @@ BASE = "name: a\nsteps: 10\nalgorithm: {name: ppo}\n"
         (BASE + "environment: {map: m.npz, scene: oak}\n", "no 'scene'"),
         (BASE + "environment: {map: m.npz, end_on: stop}\n", "no 'end_on': training sets it"),
         (BASE + "environment: {map: m.npz, num_envs: 0}\n", "environment.num_envs"),
+        (BASE + "environment: {map: m.npz, transition: a.npz, noise: low}\n", "no 'noise' beside 'transition'"),
         (BASE + "environment: {map: m.npz, transition: no.npz}\n", "environment.transition: expected a file"),
         (BASE + "environment: {id: vssm_gym/PointNav-v0, scene: oak, transition: a.npz}\n", "no 'transition'"),
         (BASE + "environment: {map: m.npz}\nfoo: 1\n", "foo: expected one of the fields name"),
@@ -182,7 +183,7 @@ def test_paths_start_at_the_file_and_hashes_at_the_content(tmp_path):
     assert training_hash(found, "a") == training_hash(other, "a") != training_hash(found, "b")
     assert training_hash(found, "a") != training_hash(load_training(path, seed=1), "a")
     hashes = [training_hash(found, "a")]
-    path = written(tmp_path, BASE + "environment: {map: maps/oak.npz, noise: mid, transition: drive.npz}\n")
+    path = written(tmp_path, BASE + "environment: {map: maps/oak.npz, transition: drive.npz}\n")
     for content in (b"a", b"b"):
         (tmp_path / "drive.npz").write_bytes(content)
         hashes.append(training_hash(load_training(path), "a"))

@@ -43,9 +43,9 @@ def record(
     """Record colour, depth, commands and true poses of a scene as a TUM folder.
 
     In a `survey` a robot drives until it has seen the whole floor: the recording for a map. `wander` drives by drawn
-    commands of all kinds: the recording from which its motion is learned. `handheld` carries a camera
-    from room to room, 1.3 m above the floor, at 0.3 to 0.6 m/s: the recording for SLAM. `flight` follows a closed
-    reference flight of a multirotor, from hover to hover, with its IMU in imu.txt; it needs a high, wide room.
+    commands of all kinds: the recording from which its motion is learned. `handheld` carries a camera from room to
+    room, 1.3 m above the floor, walking at 0.3 to 0.6 m/s between turns: the recording for SLAM. `flight` follows a
+    closed reference flight of a multirotor, from hover to hover, with its IMU in imu.txt; it needs a high, wide room.
 
     Args:
         scene: built-in name (oak) or path of a scene file.

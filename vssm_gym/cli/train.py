@@ -122,7 +122,7 @@ def train_dynamics(
         step: length of a step, seconds; that of a robot is the one of its commands.
         horizon: steps of the longest prediction that is trained and judged.
         updates: gradient steps.
-        minutes: after which the training ends even so.
+        minutes: after which the training ends even so; compilation, a minute or more, is part of them.
         seed: seed of the weights and of all draws.
     """
     from vssm_gym.cli.shared.progress import progress_bars
@@ -154,7 +154,8 @@ def train_dynamics(
             "warning: no update was better than `bias` on the held-out windows: train longer, or on more data",
             error=True,
         )
-    say(f"{out}: trained for {report['seconds']:.0f} s, compilation included; the comparison is in {beside}")
+    done = f"{report['updates']:,} of {updates:,} updates in {report['seconds']:.0f} s, compilation included"
+    say(f"{out}: {done}; the comparison is in {beside}")
     if found.fitted.interrupted:
         raise Interrupted(f"{out} keeps the best of {report['updates']} updates")
 

@@ -22,7 +22,7 @@ from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.refinement import FEWEST_NODES, nodes_of, smooth_nodes
 from vssm_gym.slam.run import SlamRun, run_slam
 
-MOST_ROUNDS = 3  # runs of the filter after the first one
+MOST_ROUNDS = 6  # runs of the filter after the first one
 SETTLED = 0.5  # standard deviations: a smaller change of all parameters ends the rounds
 UNTOLD = 0.5  # of the prior's standard deviation: what stays above it, the recording does not tell
 
@@ -46,12 +46,14 @@ class LearnedColour:
         stated: calibration of the recording, the prior.
         learned: mean and standard deviations of the posterior, at the recorded size.
         rounds: times that the calibration was learned.
+        settled: whether the last time changed nothing.
         seconds: that it took, the filter's runs included.
     """
 
     stated: ColourCalibration
     learned: ColourCalibration
     rounds: int
+    settled: bool
     seconds: float
 
     @property
@@ -87,16 +89,17 @@ def learn_colour(
     began, stated = time.perf_counter(), sequence.colour
     if stated is None:
         raise registered(sequence)
-    learned, rounds = stated, 0
+    learned, rounds, settled = stated, 0, False
     for rounds in range(1, MOST_ROUNDS + 1):
         found = _learned(run, stated, options, on_progress)
         change = np.abs(learned.view.difference(found.view)) / found.std
-        if rounds > 1 and change.max() < SETTLED:
+        settled = bool(rounds > 1 and change.max() < SETTLED)
+        if settled:
             break
         learned = found
         sequence = replace(sequence, colour=found)
         run = run_slam(sequence, options, None, on_progress)
-    return run, sequence, LearnedColour(stated, learned, rounds, time.perf_counter() - began)
+    return run, sequence, LearnedColour(stated, learned, rounds, settled, time.perf_counter() - began)
 
 
 def registered(sequence: Sequence) -> InputError:

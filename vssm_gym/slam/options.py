@@ -120,8 +120,8 @@ class SlamOptions:
             expected = "False with method tracker: gravity is known in the first camera's frame, not in the map's"
             raise InputError("slam", "imu", expected)
         if self.transition is not None:
-            if self.imu or self.method != "prism" or self.refine:
-                expected = "none with imu, with refine or with another method: it is a prior of prism alone"
+            if self.imu or self.method != "prism" or self.refine or self.learn_camera:
+                expected = "none with imu, refine, learn-camera or another method: it is a prior of prism alone"
                 raise InputError("slam", "transition", expected)
             load_flight_transition(self.transition)  # report an unsuitable file before the sequence is read
         if self.start is not None and self.method != "tracker":

@@ -169,6 +169,7 @@ def _process(
     if colour is not None:
         stats["colour_camera"] = {
             "rounds": colour.rounds,
+            "settled": colour.settled,
             "seconds": colour.seconds,
             "parameters": [parameter._asdict() for parameter in colour.parameters],
         }

@@ -119,6 +119,7 @@ def _colour_camera(learned: dict[str, Any] | None) -> dict[str, Any] | None:
     lines = [[row["name"], row["unit"], *(f"{row[key]:.3f}" for key in ("stated", "learned", "std"))] for row in rows]
     return {
         "rounds": learned["rounds"],
+        "settled": learned["settled"],
         "seconds": f"{learned['seconds']:.0f}",
         "untold": ", ".join(row["name"] for row in rows if not row["told"]),
         "table": Table(["parameter", "unit", "stated", "learned", "std"], lines, 2),

@@ -74,6 +74,8 @@ class EnvironmentSettings(BaseModel):
             raise ValueError(f"no {other!r}: {self.id} takes a {wanted}")
         if self.transition is not None and self.id != WORLD_MODEL:
             raise ValueError(f"no 'transition': {self.id} moves its own robot")
+        if self.transition is not None and "noise" in self.keywords:
+            raise ValueError("no 'noise' beside 'transition': a learned transition has its own")
         if taken := sorted(set(self.keywords) & set(FIXED)):
             raise ValueError(f"no {taken[0]!r}: training sets it")
         return self

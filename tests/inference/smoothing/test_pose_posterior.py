@@ -1,4 +1,4 @@
-"""Test the fit of a pose's posterior: Gaussians are recovered, two modes are kept, gradients are unbiased."""
+"""Test the fit of a pose's posterior: Gaussians are recovered, two modes are kept, undefined densities do no harm."""
 
 import equinox as eqx
 import jax
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.inference.smoothing.test_pose_flow import NOMINAL
+from vssm_gym.errors import InputError
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.geometry.transforms import se3_exp
 from vssm_gym.inference.filter import Rig
@@ -16,6 +17,7 @@ from vssm_gym.inference.smoothing.pose_posterior import (
     NO_WEIGHT,
     FitConfig,
     View,
+    approach,
     bound,
     climb,
     effective_share,
@@ -78,7 +80,7 @@ def correlated() -> jax.Array:
 
 @pytest.mark.parametrize("family", [MeanField, Chain])
 def test_the_bound_of_the_posterior_itself_is_the_evidence(family):
-    """``q = p(z | x)``: no draw differs from the evidence, here 0, and the gradient is zero on average."""
+    """``q = p(z | x)``: no draw differs from the evidence, here 0."""
     q = family.around(NOMINAL[None], STD[None], POSES)
     target = Humps(NOMINAL[None], jnp.diag(STD**2))
     assert abs(float(bound(jax.random.key(0), q, Flat(), target, 2000))) < 0.1  # the entropy of errors has a noise
@@ -94,7 +96,7 @@ def test_the_bound_of_a_flow_is_below_the_evidence():
 
 
 def test_the_gradient_is_that_of_the_mean():
-    """The average of reparameterised gradients is the slope of the bound's mean, by common random numbers."""
+    """The reparameterised gradient is the slope of the estimate with the same draws."""
     q = PoseFlow.around(jax.random.key(0), NOMINAL, 0.05, 0.05 / TURN_SLOPE)
     target, keys = Humps(NOMINAL[None], correlated()), jax.random.split(jax.random.key(1), 8)
     moved = lambda x: eqx.tree_at(lambda q: (q.place, q.turn_scale), q, (q.place.at[0].add(x), q.turn_scale + x))
@@ -126,6 +128,23 @@ def test_a_draw_without_a_density_has_no_part():
     assert all(np.isfinite(value).all() for value in overflown)
 
 
+def test_rounds_without_a_density_change_nothing():
+    """The density is defined in a ball that few draws reach: they alone count; where none does, ``fit`` says so."""
+    q = PoseFlow.around(jax.random.key(0), NOMINAL, 1.5)
+    far = Undefined(Humps(NOMINAL[None], jnp.diag(STD**2)), jnp.float32(NOMINAL[0, 3] - 99.0))
+    kept = approach(jax.random.key(1), q, Flat(), far, FitConfig(rounds=5, draws=256))
+    for before, after in zip(jax.tree.leaves(q), jax.tree.leaves(kept), strict=True):
+        np.testing.assert_array_equal(after, before)
+    with pytest.raises(InputError, match="likelihood: expected a density at one of 256 poses"):
+        fit(jax.random.key(1), q, Flat(), far, FitConfig(rounds=5, draws=256))
+
+
+@pytest.mark.parametrize("config", [{"rounds": 0}, {"annealed": 0.0}, {"effective": 1.5}, {"heat": 0.5}])
+def test_a_bad_fit_is_refused(config):
+    with pytest.raises(InputError, match=next(iter(config))):
+        FitConfig(**config)
+
+
 def test_starts_are_defined_where_some_draws_are_not():
     q = PoseFlow.around(jax.random.key(0), NOMINAL, 0.05, 0.05 / TURN_SLOPE)
     x = float(NOMINAL[0, 3])
@@ -134,6 +153,14 @@ def test_starts_are_defined_where_some_draws_are_not():
     assert np.isfinite(start.belief.covariance).all()
     assert x - START_REACH[0] < float(start.belief.mean.T_world_body[0, 3]) < x
     assert start_beliefs(jax.random.key(1), q, Flat(), undefined_beyond(x - 9.0), (0.1, 0.1)) == []
+
+
+def test_a_start_from_few_draws_is_wide():
+    """A posterior of 1 mm, of which a flow of half a metre draws a few poses by chance."""
+    q = PoseFlow.around(jax.random.key(0), NOMINAL, 0.3, 0.3 / TURN_SLOPE)
+    target = Humps(NOMINAL[None], 1e-6 * jnp.eye(6))
+    start, *_ = start_beliefs(jax.random.key(1), q, Flat(), target, (0.1, 0.1))
+    np.testing.assert_allclose(jnp.sqrt(jnp.diag(start.belief.covariance)[:6]), np.repeat(START_REACH, 3), rtol=1e-3)
 
 
 def test_each_place_has_its_share():

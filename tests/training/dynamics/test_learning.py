@@ -72,6 +72,16 @@ def test_a_learned_transition_beats_integration_on_another_flight(parts):
     assert np.isfinite(step_likelihood(fitted.transition, parts[0], parts[1], DT, fitted.noise))
 
 
+@pytest.mark.slow
+def test_the_spread_for_biases_is_kept():
+    """Networks that have learned nothing know seen windows no better than others: together they are as sure as one."""
+    folds = folded([cut(dragged(40.0, 1, BIAS), DT)], RIGID, 20, 2)
+    nominal = fit_parametric(Imu(), folds.data, DT)
+    fitted = fit(nominal, folds, DT, FitConfig(updates=1, batch=16, members=2))
+    assert fitted.gain > 2.0  # for biases as another flight may have
+    assert fitted.factor > 0.7
+
+
 def test_a_robot_that_slips_is_learned_better_than_its_commands_say():
     """Gains of a drive are recovered from its commands and poses."""
     rng, pose, poses = np.random.default_rng(0), np.zeros(3), [np.zeros(3)]

@@ -27,6 +27,8 @@ class Interrupted(KeyboardInterrupt):
 def interruptible(*kept: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command with ``out``: when it is interrupted it raises :class:`Interrupted` with a message.
 
+    A message that the command itself has raised stays.
+
     Args:
         kept: patterns of the files under ``out`` that an interrupted run leaves for its user or for ``--resume``.
     """
@@ -39,6 +41,8 @@ def interruptible(*kept: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         def run(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
                 return command(*args, **kwargs)
+            except Interrupted:  # the command has said what it keeps
+                raise
             except KeyboardInterrupt:
                 given = signature.bind(*args, **kwargs)
                 given.apply_defaults()

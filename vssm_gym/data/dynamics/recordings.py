@@ -32,6 +32,8 @@ def read_recording(folder: str | Path) -> DynamicsLog:
     if len(sequence.imu):
         controls = sequence.imu[:, [4, 5, 6, 1, 2, 3]]
         return DynamicsLog(str(folder), "imu", times, T_world_body, sequence.imu[:, 0], controls)
+    if not (folder / "controls.txt").is_file():
+        raise InputError(folder, "controls.txt", "the commands of a drive, or imu.txt: this recording has neither")
     width = sequence.controls.shape[1] - 1
     if width not in COMMANDS:
         expected = f"a time and {' or '.join(map(str, COMMANDS))} numbers a line, or imu.txt; found {width}"

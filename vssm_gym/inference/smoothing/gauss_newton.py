@@ -38,13 +38,19 @@ class SmoothingConfig:
         align: standard deviations and weights of readings and colours.
         elements: drawn in each iteration.
         gates: m, within which the planes of images may belong to one element, of each iteration.
-        averaged: last iterations of which the mean is taken.
+        averaged: last iterations of which the mean is taken; windows, which are small, keep the last one.
     """
 
     align: AlignConfig = field(default_factory=AlignConfig)
     elements: int = 8000
     gates: tuple[float, ...] = (0.1,) * 2 + (0.05,) * 8
     averaged: int = 6
+
+    def __post_init__(self) -> None:
+        if not self.gates:
+            raise InputError("SmoothingConfig", "gates", "one for each iteration, at least one")
+        if self.averaged < 1:
+            raise InputError("SmoothingConfig", "averaged", f"at least 1, not {self.averaged}")
 
 
 class _Iteration(NamedTuple):

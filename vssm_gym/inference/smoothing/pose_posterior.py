@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from vssm_gym.errors import InputError
 from vssm_gym.inference.filter import Rig
 from vssm_gym.inference.smoothing.families import TrajectoryBelief
 from vssm_gym.inference.smoothing.pose_flow import PoseFlow
@@ -104,7 +105,8 @@ class FitConfig:
         effective: share of the draws that a round's weights must leave, which bounds how far it goes.
         steps: of :func:`climb`.
         samples: drawn in each.
-        rate: of Adam at first; it falls along a cosine. A large one moves the shares of modes that lie apart.
+        rate: of Adam at first; it falls along a cosine. A high one lets the shares of separate modes drift from those
+            of the posterior.
         heat: factor by which scales are wide, and the likelihood is flat, at first.
         annealed: share of the steps after which the likelihood is the model's.
     """
@@ -119,6 +121,16 @@ class FitConfig:
     rate: float = 0.003
     heat: float = 10.0
     annealed: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in ("rounds", "draws", "fits", "steps", "samples"):
+            if getattr(self, name) < 1:
+                raise InputError("FitConfig", name, f"at least 1, not {getattr(self, name)}")
+        for name in ("effective", "annealed"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise InputError("FitConfig", name, f"a share in (0, 1], not {getattr(self, name)}")
+        if not self.heat >= 1.0:
+            raise InputError("FitConfig", "heat", f"at least 1, not {self.heat}")
 
 
 class Weighed(NamedTuple):
@@ -140,9 +152,16 @@ def fit(
         prior: ``p(z)``, over poses.
         likelihood: of the image.
         config: effort and annealing.
+
+    Raises:
+        InputError: none of the draws has a density, from which nothing can be learned.
     """
-    of_approach, of_climb = jax.random.split(key)
-    return climb(of_climb, approach(of_approach, q, prior, likelihood, config), prior, likelihood, config)
+    of_approach, of_climb, of_check = jax.random.split(key, 3)
+    found = approach(of_approach, q, prior, likelihood, config)
+    if not jnp.any(weigh(of_check, found, prior, likelihood, config.draws).log_weight > NO_WEIGHT):
+        expected = f"a density at one of {config.draws} poses of q at least; none has one"
+        raise InputError("fit", "likelihood", expected)
+    return climb(of_climb, found, prior, likelihood, config)
 
 
 @partial(jax.jit, static_argnames="samples")
@@ -175,7 +194,8 @@ def approach(
     """``q <- argmax_q' E_r[log q'],  r ~ q^(1 - g) [p(x | z) p(z)]^g``: ascend ``L`` in trust regions (eq. I65).
 
     ``r`` is the maximum of ``g L - (1 - g) KL(r || q)`` over all densities: a step of mirror ascent. Its exponent ``g``
-    is the largest whose weights leave ``config.effective`` of the draws.
+    is the largest whose weights leave ``config.effective`` of the draws. A round in which no draw has a density changes
+    nothing.
 
     Args:
         key: random key.
@@ -194,7 +214,8 @@ def approach(
         weights = jax.nn.softmax(_exponent(log_weight, config.effective) * log_weight)
         cost = lambda q: -jnp.sum(weights * q.log_prob(poses))
         step = lambda carry, _: (_descended(carry, jax.grad(cost)(carry[0]), optimiser), None)
-        return jax.lax.scan(step, carry, None, length=config.fits)[0], None
+        fitted = jax.lax.scan(step, carry, None, length=config.fits)[0]
+        return _chosen(jnp.any(log_weight > NO_WEIGHT), fitted, carry), None
 
     (q, _), _ = jax.lax.scan(once, (q, optimiser.init(q)), jax.random.split(key, config.rounds))
     return q
@@ -271,8 +292,12 @@ def _exponent(log_weight: Array, least: float) -> Float[Array, ""]:
 
 
 def _descended(carry: tuple[Any, Any], gradient: Any, optimiser: optax.GradientTransformation) -> tuple[Any, Any]:
-    """Make a step of the optimiser; a gradient that overflows at one of its draws counts as zero."""
+    """Make a step of the optimiser; none along a gradient that overflows at one of its draws."""
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(gradient)]))
-    gradient = jax.tree.map(lambda leaf: jnp.where(finite, leaf, 0.0), gradient)
     change, moments = optimiser.update(gradient, carry[1])
-    return optax.apply_updates(carry[0], change), moments
+    return _chosen(finite, (optax.apply_updates(carry[0], change), moments), carry)
+
+
+def _chosen(first: Array, a: Any, b: Any) -> Any:
+    """Return ``a`` where ``first`` is true, else ``b``."""
+    return jax.tree.map(lambda x, y: jnp.where(first, x, y), a, b)

@@ -4,7 +4,8 @@
 
 Any density over ``w`` is thereby one over rotations, with ``|dR / dw| = 8 pi^2 N(w; 0, 1)``. A narrow Gaussian over
 ``w`` is a Gaussian in the tangent, since ``a(s)`` is linear near zero; the standard one knows nothing. Rotations by pi
-are the far end of R^3.
+are the far end of R^3. Beyond ``LARGEST`` the map is not one to one: a normal that is wider than the standard one, or
+off the origin, has more draws there, whose density is too low.
 """
 
 from functools import cache
@@ -16,7 +17,8 @@ from jaxtyping import Array, Float
 from scipy.optimize import brentq
 from scipy.stats import chi
 
-LARGEST = 5.0  # |w| of the last entry: rotations by all but 2e-5 rad of pi; once in 65,000 draws a normal is beyond it
+# |w| of the last entry: rotations by all but 2e-5 rad of pi. A standard normal is beyond it once in 65,000 draws
+LARGEST = 5.0
 ENTRIES = 256  # of the table; cubic interpolation between them is exact to float32
 LOG_VOLUME = float(np.log(8.0 * np.pi**2))  # log of the volume of SO(3), rad^3
 

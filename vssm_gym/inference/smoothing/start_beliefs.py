@@ -4,7 +4,8 @@
 
 A filter holds one Gaussian. Where a place is found, one Gaussian has all of the posterior. Where places look alike each
 has its share, and where the poses form a surface, as around a ball, no Gaussian has more than a patch of it: a small
-share says that a filter that starts there may start at the wrong place.
+share says that a filter that starts there may start at the wrong place. A covariance of few draws would be too small:
+where fewer than ``LEAST_DRAWS`` count, the Gaussian is as wide as the reach of an alignment.
 """
 
 from typing import NamedTuple
@@ -23,6 +24,7 @@ START_REACH = (0.3, 0.35)  # m, rad: a filter's alignment reaches poses within b
 KEPT = 8  # Gaussians
 START_DRAWS = 2048  # of the posterior
 LEAST_STD = 1e-3  # m, rad, added in squares: so much is a map of cells of 5 cm off at least
+LEAST_DRAWS = 20  # that must count for a covariance of six numbers
 START_MEAN_STEPS = 3  # iterations of a mean on the manifold
 
 
@@ -73,6 +75,8 @@ def _parted(
             mean = POSES.perturb(mean, weight @ POSES.error(mean, poses))
         xi = POSES.error(mean, poses)
         covariance = (weight[:, None] * xi).T @ xi + LEAST_STD**2 * jnp.eye(6)
+        wide = jnp.diag(jnp.repeat(jnp.asarray(START_REACH), 3) ** 2)
+        covariance = jnp.where(jnp.sum(weight**2) * LEAST_DRAWS > 1.0, wide, covariance)
         return jnp.where(near, 0.0, left), (mean, covariance, share)
 
     weights = jnp.where(

@@ -52,7 +52,8 @@ def calibrate_together(
 
     Args:
         members: transitions with one network each, calibrated.
-        seen: windows that they were trained on.
+        seen: windows that they were trained on, with biases as well: without them ``f`` would take back what
+            :func:`calibrate` added for biases.
         dt: length of a step, s.
         noise: standard deviations of measured positions (m) and rotations (rad).
     """

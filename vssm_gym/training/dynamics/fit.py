@@ -174,7 +174,8 @@ def fit(
     keys = jax.random.split(jax.random.fold_in(key, config.updates + 1), len(members))
     unseen = [data.take(held).with_biases(k, stds) for k, held in zip(keys, folds.held, strict=True)]
     members, gain = calibrate(members, unseen, dt, noise)
-    transition, factor = calibrate_together(members, data, dt, noise)
+    of_seen = jax.random.fold_in(key, config.updates + 2)
+    transition, factor = calibrate_together(members, data.with_biases(of_seen, stds), dt, noise)
     seconds = time.monotonic() - began
     return Fitted(transition, members, done, seconds, interrupted, score, score < first, gain, factor, noise, history)
 

@@ -27,6 +27,7 @@ from vssm_gym.model.transition.learned_file import NOMINALS
 from vssm_gym.model.transition.manifold import Manifold
 from vssm_gym.progress import OnProgress
 from vssm_gym.training.dynamics.baselines import fit_bias, fit_parametric
+from vssm_gym.training.dynamics.calibration import GAINS
 from vssm_gym.training.dynamics.evaluation import coverage, path_errors, step_likelihood
 from vssm_gym.training.dynamics.fit import FitConfig, Fitted, Folds, fit
 from vssm_gym.training.dynamics.windows import Windows, evenly_spread, windows
@@ -137,6 +138,7 @@ def learn(
         "seconds": round(fitted.seconds, 1),
         "interrupted": fitted.interrupted,
         "gain": fitted.gain,
+        "gain_at_bound": bool(fitted.gain >= GAINS[-1]),  # then envelopes hold too little, even of what calibrated them
         "factor": fitted.factor,
         "measured_stds": fitted.noise,
         "history": fitted.history,

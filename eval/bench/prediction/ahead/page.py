@@ -99,7 +99,7 @@ def write_ahead(measured: Measured, stem: Path, version: str) -> Path:
         question=QUESTION,
         answer=answer(result),
         picture=svg_image(drawn),
-        table=Table(HEADER, [line_of(row) for row in result["rows"]], 1),
+        table=Table(HEADER, [line_of(row) for row in result["rows"]], HEADER.index("steps") + 1),
         notes=(*NOTES, *(f"Note: {notice}." for notice in result["notices"])),
         measured=about,
     )
