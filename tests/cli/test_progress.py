@@ -147,7 +147,7 @@ def test_the_decorator_finds_the_output_and_keeps_other_errors(tmp_path, monkeyp
     assert str(found.value) == f"{kept}; continue with: vssm-gym walk --resume"
     with pytest.raises(ZeroDivisionError):
         walk(ZeroDivisionError)
-    with pytest.raises(Interrupted, match="^it keeps the best so far$"):  # what the command says itself stays
+    with pytest.raises(Interrupted, match=r"^it keeps the best so far$"):  # what the command says itself stays
         walk(Interrupted("it keeps the best so far"))
 
 

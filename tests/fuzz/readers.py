@@ -20,6 +20,7 @@ from tests.helpers.paths import CHECKOUT
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.data.dynamics.read import read_dynamics
+from vssm_gym.data.laser_logs import LaserLog, read_laser_log, write_laser_log
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
 from vssm_gym.data.trajectories import read_trajectory
 from vssm_gym.envs.scenes.generator import furnish_plan
@@ -161,6 +162,15 @@ def _read_sequence(folder: Path) -> object:
     return [reader[i] for i in range(min(len(reader), 5))], sequence.true_poses()
 
 
+def _laser_log(folder: Path) -> None:
+    """Write three scans, with poses and a loop."""
+    rng, of = np.random.default_rng(0), np.linspace(-1.5, 1.5, 6)
+    triples = lambda n: rng.uniform(-1.0, 1.0, (n, 3))
+    ranges = rng.uniform(0.1, 9.0, (3, 6)).astype(np.float32)
+    log = LaserLog(ranges, of, 10.0, np.zeros(3), triples(2), triples(3), np.array([[0, 2]]), triples(1))
+    write_laser_log(folder / "drive.log", log)
+
+
 def _trajectory(name: str) -> Callable[[Path], None]:
     comma, scale = (",", 1_000_000_000) if name.endswith("csv") else (" ", 1)
     rows = [comma.join(map(str, (scale * i, i, 0.5, 0, 0, 0, 0, 1))) for i in range(20)]
@@ -254,6 +264,7 @@ READERS: dict[str, Reader] = {
         lambda d: navigation.load(d / "tasks.json"),
     ),
     "sequence": Reader(_sequence, _read_sequence),
+    "laser log": Reader(_laser_log, lambda d: read_laser_log(d / "drive.log").path()),
     "trajectory": Reader(_trajectory("poses.txt"), lambda d: read_trajectory(d / "poses.txt")),
     "trajectory, csv": Reader(_trajectory("poses.csv"), lambda d: read_trajectory(d / "poses.csv")),
     "sweep": Reader(_scene_file("sweep.yaml", SWEEP), lambda d: load_config(d / "sweep.yaml")),
