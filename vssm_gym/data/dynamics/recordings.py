@@ -32,7 +32,7 @@ def read_recording(folder: str | Path) -> DynamicsLog:
     if len(sequence.imu):
         controls = sequence.imu[:, [4, 5, 6, 1, 2, 3]]
         return DynamicsLog(str(folder), "imu", times, T_world_body, sequence.imu[:, 0], controls)
-    if not (folder / "controls.txt").is_file():
+    if not (Path(folder) / "controls.txt").is_file():
         raise InputError(folder, "controls.txt", "the commands of a drive, or imu.txt: this recording has neither")
     width = sequence.controls.shape[1] - 1
     if width not in COMMANDS:
