@@ -114,7 +114,7 @@ FOLDERS = {
         ["npz_file", "yaml_file", "output_folders"],
     ],
     "inference": [
-        ["alignment", "mapping", "linear_gaussian", "status"],
+        ["alignment", "mapping", "linear_gaussian", "particles", "status"],
         ["filter"],
         ["tracking"],
         ["relocalisation", "prism"],
