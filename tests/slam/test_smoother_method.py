@@ -8,9 +8,13 @@ import pytest
 
 from tests.helpers.slam_recordings import FILES, FRAMES, names, poses_of, true_pose, write_sequence
 from vssm_gym.cli.slam import slam
+from vssm_gym.data.sequences import load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import inverse
 from vssm_gym.slam.options import SlamOptions
+from vssm_gym.slam.refinement import refine
+from vssm_gym.slam.run import run_slam
+from vssm_gym.viz.mesh import surface_mesh
 
 OPTIONS = {"size": "80x60", "voxel": 0.08, "extent": 6.4}
 TRUE = inverse(true_pose(0)) @ np.stack([true_pose(k) for k in range(FRAMES)])
@@ -31,6 +35,17 @@ def test_a_recording_is_smoothed_from_nothing(tmp_path):
     off = np.linalg.norm(poses[:, :3, 3] - TRUE[:, :3, 3], axis=1)
     assert np.delete(off, 4).max() < 0.006
     assert 'id="refinement"' in (out / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_two_images_are_mapped_although_nothing_is_smoothed(tmp_path):
+    folder = write_sequence(tmp_path / "room", blank=FRAMES - 2)
+    options = SlamOptions(size=(80, 60), voxel=0.08, extent=6.4, method="smoother")
+    run = run_slam(load_sequence(folder), options)
+    assert (~run.lost).sum() == 2
+    found = refine(run, options)
+    np.testing.assert_array_equal(found.run.poses, run.poses)
+    assert len(surface_mesh(found.run.map).vertices) > 100
 
 
 def test_options_that_do_not_apply_are_refused(tmp_path):

@@ -29,7 +29,7 @@ from vssm_gym.slam.colour_learning import learn_colour, registered
 from vssm_gym.slam.figures import STAGES
 from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.real_time import real_time
-from vssm_gym.slam.refinement import refine
+from vssm_gym.slam.refinement import FEWEST_NODES, refine
 from vssm_gym.slam.report import page
 from vssm_gym.slam.run import SlamRun, TrackedFrame, run_slam
 from vssm_gym.slam.states import Truth, calibration_summary
@@ -132,6 +132,9 @@ def _process(
     """Do the work of :func:`process` in a folder that it owns."""
     if options.learn_camera and sequence.colour is None:
         raise registered(sequence)
+    if options.learn_camera and len(sequence.frames) < FEWEST_NODES:
+        found = f"{FEWEST_NODES} frames or more; found {len(sequence.frames)}"
+        raise InputError(sequence.root, "learn-camera", found)
     start = time.perf_counter()
     images = FrameReader(sequence, options.size)  # for the viewer: the run keeps none of its images
 

@@ -62,7 +62,7 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
     """Smooth a run of PRISM.
 
     Args:
-        run: finished; a run with fewer than three accepted frames is returned as it is.
+        run: finished; a run with fewer than three accepted frames keeps its poses.
         options: of the run.
         on_progress: called after each image read, each iteration and each image mapped.
 
@@ -72,10 +72,13 @@ def refine(run: SlamRun, options: SlamOptions, on_progress: OnProgress | None = 
     began = time.perf_counter()
     prism = options.prism(run.reader.camera)
     accepted = np.flatnonzero(~run.lost)
-    if len(accepted) < FEWEST_NODES:
-        return Refinement(run, run, accepted, [], 0.0)
-    nodes = nodes_of(run)
     progress = on_progress or (lambda stage, done, total: None)
+    if len(accepted) < FEWEST_NODES:
+        if options.method == "smoother":  # whose images enter the map only when they leave its window
+            m = _mapped(run, prism, options, accepted, run.poses, progress)
+            run = replace(run, posterior=replace(run.posterior, map=m))
+        return Refinement(run, run, accepted, [], time.perf_counter() - began)
+    nodes = nodes_of(run)
     images = []
     for done, i in enumerate(nodes, 1):
         images.append(_image(run, int(i)))
