@@ -79,6 +79,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "data.images",
         "data.intrinsics",
         "data.sequences",
+        "data.laser_logs",
         "data.dynamics",
         "data.recording",
         "data.flights",
@@ -116,7 +117,7 @@ FOLDERS = {
     "inference": [
         ["alignment", "mapping", "linear_gaussian", "particles", "status"],
         ["filter"],
-        ["tracking"],
+        ["tracking", "planar"],
         ["relocalisation", "prism"],
         [""],
     ],

@@ -33,6 +33,7 @@ from vssm_gym.model.transition import (
     planar_belief,
 )
 from vssm_gym.model.transition.calibrated import CalibratedDrive, CalibratedImu, ImuConstants
+from vssm_gym.model.transition.odometry import Odometry
 from vssm_gym.model.transition.with_rest import RestState
 
 NOISE = ExecutionNoise(turn=np.radians(1.0), step=0.004)  # small against every command below: nothing is rectified
@@ -208,6 +209,7 @@ EVERY = {
     "learned, imu": Case(
         random_transition(spread=0.1), RestState(_rigid(4), f32([0.3, -0.2])), f32([0.3, 0.1, 9.5, 0.5, -1.0, 0.2])
     ),
+    "odometry": Case(Odometry((0.02, 0.01, 0.03)), f32(START), f32([0.2, -0.05, 0.3])),
     "learned, planar": Case(random_planar(), RestState(f32(START), f32([0.3, -0.2])), f32([0.15, 0.05, 0.12])),
     "calibrated imu": Case(
         CalibratedImu(ImuConstants(*f32(np.full((4, 3), 0.1))), Imu(ImuNoise(0.1, 0.6, 0.2, 0.3))),
