@@ -80,6 +80,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "data.intrinsics",
         "data.sequences",
         "data.laser_logs",
+        "data.traversals",
         "data.dynamics",
         "data.recording",
         "data.flights",

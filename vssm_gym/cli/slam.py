@@ -151,6 +151,63 @@ def print_warnings(notices: Sequence[str]) -> None:
         say(f"warning: and {len(notices) - WARNINGS} more like these", error=True)
 
 
+@interruptible()
+def slam2d(
+    log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
+    out: Path,
+    cell: float = 0.1,
+    max_range: float | None = None,
+    steps: int = 3000,
+    noise: str = "low",
+    sensor_noise: str = "low",
+    seed: int = 0,
+) -> None:
+    """Find the path of a robot with a laser scanner, and the map of its plane.
+
+    LOG is a file (CARMEN, or a graph with ROBOTLASER1 and EDGE2; text or gzip), or the name of a maze that is driven
+    through first. OUT gets trajectory.txt (x, y, heading at each scan, from the first), slam2d.json, slam2d.svg and
+    slam2d.html: the map, and the errors beside those of path integration. Poses and loops of the log are read for these
+    errors alone.
+
+    Args:
+        log: file, or rooms-v1, rings-v1 and the other mazes.
+        out: new or empty folder.
+        cell: size of the map's cells, m; a maze, which is one metre wide, has a tenth of it.
+        max_range: m, beyond which readings are left out; by default what the log says.
+        steps: of the drive through a maze.
+        noise: of its execution: none, low, mid or high.
+        sensor_noise: of its ranges: none, low, mid or high.
+        seed: of the drive.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.data.laser_logs import read_laser_log
+    from vssm_gym.data.traversals import traverse
+    from vssm_gym.envs.tasks.mazes import MAZES, load_maze
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.studies import planar_slam
+    from vssm_gym.eval.studies.page import study_folder, write_study
+    from vssm_gym.files.atomic import atomic_write
+    from vssm_gym.files.output_folders import check_at_least, check_folder
+
+    check_at_least("slam2d", "seed", seed, 0)
+    check_at_least("slam2d", "steps", steps, 1)
+    if not cell > 0.0:
+        raise InputError("slam2d", "cell", f"above 0 m, not {cell:g}")
+    check_folder(out)
+    if log in MAZES:
+        scans, size = traverse(load_maze(log), steps, seed, noise, sensor_noise), 0.1 * cell
+    else:
+        scans, size = read_laser_log(Path(log)), cell
+    with study_folder("slam2d", out):
+        with progress_bars() as progress:
+            study, run = planar_slam.run(Path(log).name, scans, size, max_range, progress)
+        with atomic_write(out / "trajectory.txt") as temporary, temporary.open("w") as file:
+            file.write("# x y heading\n")
+            file.writelines(f"{x:.6f} {y:.6f} {heading:.6f}\n" for x, y, heading in run.poses)
+        page = write_study(study, out)
+    say(study.answer, page)
+
+
 @contextlib.contextmanager
 def _live() -> Iterator[tuple[Callable[[str, int, int], None], Callable[["TrackedFrame"], None]]]:
     """Yield the callbacks ``on_progress`` and ``on_frame``, which show frame rate and lost frames on stderr."""

@@ -1,0 +1,109 @@
+"""Run SLAM on a log of a laser scanner, beside path integration, and judge both by what the log knows."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from vssm_gym.data.laser_logs import LaserLog, relation
+from vssm_gym.data.traversals import errors
+from vssm_gym.eval.studies.page import Study
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.planar_run import PlanarRun, loop_errors, run_scans
+from vssm_gym.viz.pictures import svg
+
+INTEGRATED, SLAM = "path integration", "PRISM in the plane"
+HEADER = ("method", "error at the end, m", "mean error, m", "loops: mean, m", "median, m", "turn, deg", "scans/s")
+
+
+def run(
+    name: str, log: LaserLog, cell_size: float, max_range: float | None = None, on_progress: OnProgress | None = None
+) -> tuple[Study, PlanarRun]:
+    """Track and map a log, and compare with its odometry alone.
+
+    Args:
+        name: of the log, for the page.
+        log: scans and odometry; its poses and loops are read for the judgement alone.
+        cell_size: of the map, m.
+        max_range: m; farther readings are left out; None: those of the log.
+        on_progress: called after every hundred scans.
+
+    Returns:
+        The outcome for a page, and the run itself.
+    """
+    found = run_scans(log, cell_size, max_range, on_progress=on_progress)
+    estimates = {INTEGRATED: log.path(), SLAM: found.poses}
+    figures: dict[str, dict[str, Any]] = {method: _judged(log, poses) for method, poses in estimates.items()}
+    figures[SLAM] |= {"scans_per_second": len(log) / found.seconds, "used": float(found.used[1:].mean())}
+    study = Study(
+        name="slam2d",
+        question=f"Where was the robot, and what is there? {name}",
+        answer=_answer(figures, len(log)),
+        header=HEADER,
+        lines=[_line(method, figures[method]) for method in estimates],
+        picture=_picture(log, found, estimates),
+        setting={"log": name, "scans": len(log), "cell_size": cell_size, "max_range": max_range},
+        figures=figures,
+        notes=(
+            "The method reads scans and odometry. Errors are distances from the poses of the log, both seen from the "
+            "first; in a simulation those are the true ones, in a recording what others have found. Loops are pairs "
+            "of scans whose relation the log knows: the difference of the estimated relation from it.",
+        ),
+    )
+    return study, found
+
+
+def _judged(log: LaserLog, poses: np.ndarray) -> dict[str, Any]:
+    figures: dict[str, Any] = {"end": None, "mean": None, "loops": None}
+    if log.poses is not None:
+        off = errors(log, poses)
+        figures |= {"end": float(off[-1]), "mean": float(off.mean())}
+    if len(log.loops):
+        apart, turn = loop_errors(log, poses).T
+        figures["loops"] = {
+            "number": len(apart),
+            "mean": float(apart.mean()),
+            "median": float(np.median(apart)),
+            "turn": float(np.degrees(turn.mean())),
+        }
+    return figures
+
+
+def _line(method: str, figures: dict[str, Any]) -> list[str]:
+    cell = lambda value, digits=3: "" if value is None else f"{value:.{digits}f}"
+    loops = figures["loops"] or {}
+    of_loops = [cell(loops.get("mean")), cell(loops.get("median")), cell(loops.get("turn"), 2)]
+    return [method, cell(figures["end"]), cell(figures["mean"]), *of_loops, cell(figures.get("scans_per_second"), 0)]
+
+
+def _answer(figures: dict[str, dict[str, Any]], scans: int) -> str:
+    ours, integrated = figures[SLAM], figures[INTEGRATED]
+    said = [f"{scans:,} scans at {ours['scans_per_second']:.0f} a second; {ours['used']:.0%} of the readings fit."]
+    if ours["loops"]:
+        said.append(
+            f"Over {ours['loops']['number']:,} loops it is off by {ours['loops']['mean']:.3f} m, "
+            f"path integration by {integrated['loops']['mean']:.3f} m."
+        )
+    elif ours["end"] is not None:
+        said.append(f"At the end it is off by {ours['end']:.4f} m, path integration by {integrated['end']:.3f} m.")
+    return " ".join(said)
+
+
+def _picture(log: LaserLog, found: PlanarRun, estimates: dict[str, np.ndarray]) -> bytes:
+    """Draw the map, both paths, and that of the log."""
+    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+    axes = figure.subplots()
+    m = found.m
+    occupied = np.where(m.observed, np.where(np.asarray(m.occupancy) > 0.0, 1.0, 0.15), 0.5)
+    low, cell = np.asarray(m.origin), float(m.cell_size)
+    high = low + cell * (np.array(occupied.shape) - 1)
+    axes.imshow(occupied.T, origin="lower", extent=(low[0], high[0], low[1], high[1]), cmap="Greys", vmin=0.0, vmax=1.0)
+    axes.plot(*estimates[INTEGRATED][:, :2].T, color="tab:orange", lw=0.8, label=INTEGRATED)
+    if log.poses is not None:
+        axes.plot(*relation(log.poses[:1], log.poses)[:, :2].T, color="tab:green", lw=1.6, label="the log's own poses")
+    axes.plot(*found.poses[:, :2].T, color="tab:blue", lw=0.8, label=SLAM)
+    seen = np.argwhere(m.observed)
+    first, last = low + cell * seen.min(axis=0), low + cell * seen.max(axis=0)
+    axes.set(xlim=(first[0], last[0]), ylim=(first[1], last[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
+    axes.legend(loc="upper left", fontsize=8)
+    return svg(figure)

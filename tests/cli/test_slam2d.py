@@ -1,0 +1,66 @@
+"""Test ``vssm-gym slam2d``: a maze and a log from end to end, and clear errors."""
+
+import json
+
+import numpy as np
+import pytest
+
+from vssm_gym.cli.slam import slam2d
+from vssm_gym.data.laser_logs import write_laser_log
+from vssm_gym.data.traversals import errors, traverse
+from vssm_gym.envs.tasks.mazes import load_maze
+from vssm_gym.errors import InputError
+
+STEPS = 120
+
+
+def test_a_maze_from_end_to_end(tmp_path, capsys):
+    slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1)
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"trajectory.txt", "slam2d.json", "slam2d.svg", "slam2d.html"} <= names
+    poses = np.loadtxt(tmp_path / "out" / "trajectory.txt")
+    off = errors(traverse(load_maze("pillars-v1"), STEPS, 1), poses)
+    figures = json.loads((tmp_path / "out" / "slam2d.json").read_text())["figures"]
+    assert figures["PRISM in the plane"]["end"] == pytest.approx(off[-1], abs=1e-5)
+    assert off.max() < 0.015 and figures["path integration"]["loops"] is None
+    assert "At the end it is off by" in capsys.readouterr().out
+    assert (
+        "<svg" in (tmp_path / "out" / "slam2d.html").read_text()
+        or "data:image/svg" in (tmp_path / "out" / "slam2d.html").read_text()
+    )
+    with pytest.raises(InputError, match="out"):
+        slam2d("pillars-v1", tmp_path / "out", steps=STEPS)
+
+
+def test_a_log_is_judged_by_its_loops(tmp_path, capsys):
+    log = traverse(load_maze("rooms-v1"), STEPS, seed=2)
+    true = log.poses
+    from vssm_gym.data.laser_logs import LaserLog, relation
+
+    pairs = np.array([[0, 60], [10, STEPS]])
+    judged = LaserLog(
+        log.ranges, log.angles, log.max_range, log.mount, log.motions, None, pairs,
+        relation(true[pairs[:, 0]], true[pairs[:, 1]]),
+    )  # fmt: skip
+    write_laser_log(tmp_path / "drive.log", judged)
+    slam2d(str(tmp_path / "drive.log"), tmp_path / "out", cell=0.01)
+    figures = json.loads((tmp_path / "out" / "slam2d.json").read_text())["figures"]
+    loops = figures["PRISM in the plane"]["loops"]
+    assert loops["number"] == 2 and loops["mean"] < 0.01 < figures["path integration"]["loops"]["mean"]
+    assert figures["path integration"]["end"] is None
+    assert "Over 2 loops" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"log": "no.log"}, "file: expected a laser log"),
+        ({"log": "pillars-v1", "cell": 0.0}, "cell: expected above 0 m"),
+        ({"log": "pillars-v1", "steps": 0}, "steps"),
+        ({"log": "pillars-v1", "noise": "loud", "steps": 5}, "noise"),
+    ],
+)
+def test_what_does_not_fit_is_refused(tmp_path, given, message):
+    with pytest.raises(InputError, match=message):
+        slam2d(out=tmp_path / "out", **given)
+    assert not (tmp_path / "out" / "slam2d.html").exists()
