@@ -78,19 +78,21 @@ def run_scans(
     prism = PlanarPrism(scanner, Odometry(floor, SHARES), config or PlanarConfig())
     belief = planar_belief(jnp.zeros(3), STARTS_WITHIN**2 * jnp.eye(3))
     state = prism.init(belief, m, jnp.asarray(ranges[0]))
-    motions = jnp.asarray(log.motions, jnp.float32)
+    # The last part is filled up with scans without readings, which change no map: all parts have one compilation
+    filled = ((0, -len(log.motions) % SCANS_TOGETHER), (0, 0))
+    motions, seen = (jnp.asarray(np.pad(a, filled), jnp.float32) for a in (log.motions, ranges[1:]))
     parts = [(belief.mean[None], belief.covariance[None], jnp.zeros(1))]
     seconds = 0.0
     for first in range(0, len(motions), SCANS_TOGETHER):
         several = slice(first, first + SCANS_TOGETHER)
-        given = state, motions[several], jnp.asarray(ranges[1:][several])
+        given = state, motions[several], seen[several]
         began = time.perf_counter()
         state, found = jax.block_until_ready(_steps(prism.scanner, prism.transition, prism.config, *given))
         seconds += time.perf_counter() - began
         parts.append(found)
         if on_progress:
-            on_progress("tracking and mapping", min(first + SCANS_TOGETHER, len(motions)), len(motions))
-    poses, covariance, used = (np.concatenate([np.asarray(part[k]) for part in parts]) for k in range(3))
+            on_progress("tracking and mapping", min(first + SCANS_TOGETHER, len(log) - 1), len(log) - 1)
+    poses, covariance, used = (np.concatenate([np.asarray(part[k]) for part in parts])[: len(log)] for k in range(3))
     return PlanarRun(poses, covariance, used, state.m, seconds)
 
 

@@ -132,6 +132,10 @@ def test_a_drive_is_tracked_better_than_by_its_odometry(drive):
     off, integrated = errors(drive, run.poses), errors(drive, drive.path())
     assert off.max() < 1.5 * CELL < integrated.max()
     assert run.used[1:].min() > 0.5
+    true = relation(drive.poses[:1], drive.poses)
+    xi = np.asarray(PLANAR.error(jnp.asarray(run.poses, jnp.float32), jnp.asarray(true, jnp.float32)), float)
+    nees = np.einsum("ti,tij,tj->t", xi, np.linalg.inv(run.covariance), xi) / 3.0
+    assert 0.2 < np.median(nees) < 4.0  # the drift of the map is no part of the covariance
     assert len(run.poses) == len(run.covariance) == len(run.used) == len(drive)
 
 
