@@ -14,7 +14,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.inference.planar import PlanarPrism, PlanarState
 from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.maps.planar_map import PlanarMap
-from vssm_gym.model.scan_emission import Scanner
+from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition import planar_belief
 from vssm_gym.model.transition.odometry import Odometry
 from vssm_gym.progress import OnProgress

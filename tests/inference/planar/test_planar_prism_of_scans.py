@@ -16,7 +16,9 @@ from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.inference.planar.scan_alignment import align
 from vssm_gym.inference.planar.scan_update import update
 from vssm_gym.maps.planar_map import PlanarMap
-from vssm_gym.model.scan_emission import ScanLikelihood, Scanner, render_scan
+from vssm_gym.model.scan_emission import OccupancyScans, ScanLikelihood, render_scan
+from vssm_gym.model.scan_model import ScanModel
+from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition import Imu, ImuNoise, planar_belief
 from vssm_gym.model.transition.manifold import PLANAR
 from vssm_gym.model.transition.odometry import Odometry
@@ -114,7 +116,7 @@ def test_particles_and_gauss_newton_agree(mapped):
     spread = jnp.diag(jnp.array([0.01, 0.01, 0.03]) ** 2)
     prior = planar_belief(jnp.asarray(compose(true, np.array([0.008, -0.005, 0.03])), jnp.float32), spread)
     aligned = align(mapped, measured(true), prior, scanner(), PlanarConfig()).belief
-    likelihood = ScanLikelihood(measured(true), mapped, scanner(), 0.5 * CELL, 0.05)
+    likelihood = ScanLikelihood(measured(true), OccupancyScans(mapped, scanner(), 0.5 * CELL, 0.05))
     drawn = ParticleBelief.of(prior.sample(jax.random.key(0), 3000), PLANAR)
     found = BootstrapFilter(Odometry((0.01, 0.01, 0.03))).observe(drawn, likelihood).belief
     assert float(found.effective) > 10.0
@@ -172,3 +174,19 @@ def test_what_does_not_fit_is_refused(drive):
         PlanarConfig(iterations=0)
     with pytest.raises(InputError, match="band: expected above 0"):
         PlanarConfig(band=0.0)
+
+
+def test_an_occupancy_map_is_a_model_of_scans(mapped):
+    model = OccupancyScans(mapped, scanner(), 0.5 * CELL)
+    assert isinstance(model, ScanModel)
+    states = jnp.asarray(np.array(PLACES[:2]), jnp.float32)
+    predicted = model.ranges(states)
+    assert predicted.shape == (2, BEAMS) and bool(jnp.all(predicted > 0.0))
+    drawn = jax.vmap(model.sample, (0, None))(jax.random.split(jax.random.key(0), 400), states)
+    np.testing.assert_allclose(jnp.mean(drawn, axis=0), predicted, atol=0.4 * CELL)
+    np.testing.assert_allclose(
+        jnp.mean(jnp.abs(drawn - predicted)), 0.5 * CELL, rtol=0.05
+    )  # b of a Laplace distribution
+    again = model.draw_map(jax.random.key(1))
+    away = np.asarray((again.m.occupancy - mapped.occupancy) * jnp.sqrt(mapped.precision))
+    assert abs(away.std() - 1.0) < 0.05 and np.abs(again.ranges(states) - predicted).max() > 0.0

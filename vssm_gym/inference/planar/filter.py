@@ -12,7 +12,7 @@ from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.inference.planar.scan_alignment import align
 from vssm_gym.inference.planar.scan_update import update
 from vssm_gym.maps.planar_map import PlanarMap
-from vssm_gym.model.scan_emission import Scanner
+from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR

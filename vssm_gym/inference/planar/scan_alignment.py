@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.maps.planar_map import PlanarMap
-from vssm_gym.model.scan_emission import Scanner
+from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR
 

@@ -14,7 +14,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.inference.mapping.map_update import fuse
 from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.maps.planar_map import PlanarMap
-from vssm_gym.model.scan_emission import Scanner
+from vssm_gym.model.scanner import Scanner
 
 FULL_CIRCLE = 2.0 * np.pi  # rad
 
