@@ -118,7 +118,7 @@ FOLDERS = {
     "inference": [
         ["alignment", "mapping", "linear_gaussian", "particles", "status"],
         ["filter"],
-        ["tracking", "planar"],
+        ["tracking", "planar", "latent"],
         ["relocalisation", "prism"],
         [""],
     ],

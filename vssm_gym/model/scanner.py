@@ -22,7 +22,7 @@ class Scanner(eqx.Module):
 
     def pose(self, state: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Return the scanner's pose of a robot's, x, y (m), heading (rad)."""
-        return Odometry((0.0, 0.0, 0.0)).mean(state, self.mount, 0.0)
+        return Odometry((0.0, 0.0, 0.0)).mean(state, jnp.broadcast_to(self.mount, state.shape), 0.0)
 
     def endpoints(self, state: Float[Array, "3"], ranges: Float[Array, "beams"]) -> Float[Array, "beams 2"]:
         """Return where the beams of a scan end, m."""
