@@ -18,6 +18,7 @@ from vssm_gym.eval.studies.scan_graph.clouds import Cloud, Points, rotation
 BLOCK = 4  # cells
 MOST_POINTS = 90  # of a scan, that are scored
 RIVAL = 0.95  # of the best score: blocks that may hold a rival are searched too
+MOST_BLOCKS = 1000  # that a search looks into: where so many may hold the best pose, no one is
 RIVAL_CELLS, RIVAL_TURN = 6.0, 0.15  # cells, rad from the best pose, beyond which a peak is another
 SEARCH_STEP = (0.01, 0.05)  # rad, least and largest step of the turn
 
@@ -92,6 +93,8 @@ def search(
         k, block = np.unravel_index(number, bounds.shape)
         if bounds[k, block] < max(RIVAL * best, 1e-6):
             break
+        if len(found) == MOST_BLOCKS:
+            return Peak(np.array(centre, float), best, best)
         fine = offsets[block] + inside
         scores = _score(within.fine, cells[k], fine)
         top = int(scores.argmax())

@@ -121,7 +121,12 @@ class _Drive:
                 self._chain.append(step)
                 measured, spread, at = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
                 if len(self.keyframes) - searched >= SEARCHED_TOGETHER:
-                    if closed := self.loops.close(range(searched, len(self.keyframes))):
+                    closed = self.loops.close(range(searched, len(self.keyframes)))
+                    newest = len(self._submaps) - 1
+                    if newest > 0 and len(self.keyframes) - (newest + 1) * SUBMAP < SEARCHED_TOGETHER:
+                        before = range((newest - 1) * SUBMAP, newest * SUBMAP)
+                        closed += [f for node in before if (f := self._again(node, newest, graph.poses))]
+                    if closed:
                         graph.connect(closed)
                         graph.solve()
                     searched = len(self.keyframes)
