@@ -20,6 +20,7 @@ import importlib
 import json
 import os
 import sys
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,10 @@ class Optimiser:
     def __init__(self) -> None:
         gtsam: Any = importlib.import_module("gtsam")  # not part of any extra: types may be there or not
         self._gtsam, self._values = gtsam, gtsam.Values()
-        self.version = str(getattr(gtsam, "__version__", ""))
+        try:
+            self.version = version("gtsam")
+        except PackageNotFoundError:  # built from source, without a distribution
+            self.version = ""
         self._clear()
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:

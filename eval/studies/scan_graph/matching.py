@@ -1,10 +1,11 @@
 """Match a scan to a surface: point-to-line ICP, and the information of its outcome.
 
-    T = argmin sum_k rho((T p_k - m_k) . n_k / s) + the prior's |T' - T|^2,     m_k, n_k the surface nearest to T p_k
+    T = argmin sum_k rho((T p_k - m_k) . n_k / s_k) + the prior's |T' - T|^2,     m_k, n_k the surface nearest to T p_k
 
-by Gauss-Newton in the tangent of T on its right, ``T exp(d)``, d = (forward, left, turn). ``rho`` is Cauchy's. Surfaces
-that face away are not met. The information is ``J^T W J / s^2`` at the optimum: of a corridor's scan it says nothing along
-the corridor.
+by Gauss-Newton in the tangent of T on its right, ``T exp(d)``, d = (forward, left, turn). ``rho`` is Cauchy's, and s_k
+the surface's (:mod:`~vssm_gym.eval.studies.scan_graph.clouds`), with the noise found from the residuals. Surfaces that
+face away are not met. The information is ``J^T W J`` at the optimum: of a corridor's scan it says nothing along the
+corridor.
 """
 
 from dataclasses import dataclass

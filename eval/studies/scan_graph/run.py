@@ -3,8 +3,8 @@
     tracking    each scan is matched to the newest keyframes, from the odometry and balanced with it; a scan that has
                 moved or turned enough becomes a keyframe, a node of the graph
     loops       every few keyframes those that see an older submap are matched to it, and the graph is optimised
-    refinement  all keyframes are matched again to all submaps nearby, made at the optimised poses, and optimised, a few
-                times; then every other scan is matched to the nearest submap
+    refinement  all keyframes are matched again to the submaps around them, made at the optimised poses, and optimised, a
+                few times; every other scan keeps its pose in the keyframe before it
 
 The odometry's errors are taken to be those that our own filter takes (eq. M35).
 """
@@ -27,7 +27,7 @@ from vssm_gym.slam.planar_run import FLOOR_CELLS, FLOOR_TURN, SHARES
 
 KEYFRAME = (5.0, 0.35)  # cells, rad: a scan that moved or turned so far from the last keyframe is one
 SEARCHED_TOGETHER = 5  # keyframes whose loops are looked for at once
-ROUNDS = 3  # of the refinement
+ROUNDS = 2  # of the refinement
 AROUND = 15.0  # cells from a submap's nearest keyframe, within which a scan is matched to it again
 MOST_AROUND = 8  # submaps that a keyframe is matched to in the refinement
 
@@ -76,9 +76,7 @@ def run_scan_graph(
         drive.refine(on_progress)
         poses = drive.placed()
     poses = relation(poses[:1], poses)
-    return ScanGraphRun(
-        poses, online, drive.keyframes, drive.loops.found, time.perf_counter() - began, graph.version
-    )
+    return ScanGraphRun(poses, online, drive.keyframes, drive.loops.found, time.perf_counter() - began, graph.version)
 
 
 class _Drive:
@@ -168,7 +166,9 @@ class _Drive:
     def _again(self, node: int, number: int, poses: np.ndarray) -> Factor | None:
         anchor = self._submaps.anchor(number)
         start = relation(poses[anchor], poses[node])
-        found = match(self._submaps.cloud(number, poses), self._points[self.keyframes[node]], start, self._cell, reach=2.0)
+        found = match(
+            self._submaps.cloud(number, poses), self._points[self.keyframes[node]], start, self._cell, reach=2.0
+        )
         if found.share < LEAST_SHARE:
             return None
         return Factor(anchor, node, found.pose, match_covariance(found, self._cell), robust=True)
