@@ -1,6 +1,7 @@
 """Run scan matching with a pose graph on a log: track, close loops, and refine all poses in the end.
 
-    tracking    each scan is matched to the newest keyframes, from the odometry and balanced with it; a scan that has
+    tracking    each scan is matched to the newest keyframes, from the odometry and balanced with it, or searched for
+                where it does not fit; one that has
                 moved or turned enough becomes a keyframe, a node of the graph
     loops       every few keyframes those that see an older submap are matched to it, and the graph is optimised
     refinement  all keyframes are matched again to the submaps around them, made at the optimised poses, and optimised, a
@@ -17,15 +18,18 @@ from jaxtyping import Float
 
 from vssm_gym.data.laser_logs import LaserLog, compose, relation
 from vssm_gym.errors import InputError
-from vssm_gym.eval.studies.scan_graph.clouds import points_of
+from vssm_gym.eval.studies.scan_graph.clouds import Cloud, points_of
+from vssm_gym.eval.studies.scan_graph.correlative import field, search
 from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 from vssm_gym.eval.studies.scan_graph.loops import LEAST_SHARE, LoopSearch, match_covariance
-from vssm_gym.eval.studies.scan_graph.matching import match
+from vssm_gym.eval.studies.scan_graph.matching import Match, match
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, Submaps
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.planar_run import FLOOR_CELLS, FLOOR_TURN, SHARES
 
 KEYFRAME = (5.0, 0.35)  # cells, rad: a scan that moved or turned so far from the last keyframe is one
+LOST_SHARE = 0.5  # of a scan's points on the surface, below which it is searched for
+LOST_WINDOW = (10.0, 0.6)  # cells, rad, of that search
 SEARCHED_TOGETHER = 5  # keyframes whose loops are looked for at once
 ROUNDS = 2  # of the refinement
 AROUND = 15.0  # cells from a submap's nearest keyframe, within which a scan is matched to it again
@@ -65,13 +69,16 @@ def run_scan_graph(
         on_progress: called with ("scan graph", scans done, scans), then with ("refinement", rounds done, rounds).
 
     Raises:
-        InputError: a log of one scan, GTSAM is not installed, or its process died.
+        InputError: a range that is not above 0, a log of one scan, GTSAM is not installed, or its process died.
     """
+    longest = log.max_range if max_range is None else min(max_range, log.max_range)
+    if not longest > 0.0:
+        raise InputError("slam2d", "max-range", f"above 0 m, not {longest:g}")
     if len(log) < 2:
         raise InputError("slam2d", "log", f"two scans or more; found {len(log)}")
     began = time.perf_counter()
     with PoseGraph("slam2d") as graph:
-        drive = _Drive(log, cell_size, log.max_range if max_range is None else min(max_range, log.max_range), graph)
+        drive = _Drive(log, cell_size, longest, graph)
         online = drive.track(on_progress)
         drive.refine(on_progress)
         poses = drive.placed()
@@ -109,6 +116,8 @@ class _Drive:
             measured, start = compose(measured, motion), compose(at, motion)
             prior = np.linalg.inv(spread)
             found = match(cloud, self._points[scan], start, cell, (measured, prior))
+            if found.share < LOST_SHARE and len(cloud.places):
+                found = self._searched(cloud, scan, start, (measured, prior), found)
             at = found.pose
             self._node[scan], self._from[scan] = len(self.keyframes) - 1, at
             if np.hypot(at[0], at[1]) > KEYFRAME[0] * cell or abs(at[2]) > KEYFRAME[1] or scan == len(self._log) - 1:
@@ -119,14 +128,7 @@ class _Drive:
                 self._chain.append(step)
                 measured, spread, at = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
                 if len(self.keyframes) - searched >= SEARCHED_TOGETHER:
-                    closed = self.loops.close(range(searched, len(self.keyframes)))
-                    newest = len(self._submaps) - 1
-                    if newest > 0 and len(self.keyframes) - (newest + 1) * SUBMAP < SEARCHED_TOGETHER:
-                        before = range((newest - 1) * SUBMAP, newest * SUBMAP)
-                        closed += [f for node in before if (f := self._again(node, newest, graph.poses))]
-                    if closed:
-                        graph.connect(closed)
-                        graph.solve()
+                    self._close(range(searched, len(self.keyframes)))
                     searched = len(self.keyframes)
                 cloud = self._submaps.newest(graph.poses)
             online[scan] = compose(graph.poses[-1], at)
@@ -140,7 +142,7 @@ class _Drive:
             self._submaps.forget()
             poses, factors = self._graph.poses, list(self._chain)
             for node in range(len(self.keyframes)):
-                factors += [f for f in map(lambda s: self._again(node, s, poses), self._around(node, poses)) if f]
+                factors += [f for near in self._around(node, poses) if (f := self._again(node, near, poses))]
             self._graph.connect(factors, clear=True)
             self._graph.solve()
             if on_progress:
@@ -149,6 +151,27 @@ class _Drive:
     def placed(self) -> Float[np.ndarray, "scans 3"]:
         """Return the pose of every scan: a keyframe's own, or that found from the keyframe before it."""
         return compose(self._graph.poses[self._node], self._from)
+
+    def _close(self, nodes: range) -> None:
+        """Close the loops of several keyframes; a submap just completed is matched to by those before it too."""
+        closed, newest = self.loops.close(nodes), len(self._submaps) - 1
+        if newest > 0 and (newest + 1) * SUBMAP > nodes.start:
+            before = range((newest - 1) * SUBMAP, newest * SUBMAP)
+            closed += [f for node in before if (f := self._again(node, newest, self._graph.poses))]
+        if closed:
+            self._graph.connect(closed)
+            self._graph.solve()
+
+    def _searched(
+        self, cloud: Cloud, scan: int, start: np.ndarray, prior: tuple[np.ndarray, np.ndarray], found: Match
+    ) -> Match:
+        """Return the match from the best pose of a window, or that found before where it has the larger share."""
+        points, (width, turns) = self._points[scan], LOST_WINDOW
+        if not len(points):
+            return found
+        peak = search(field(cloud, self._cell), points, start, self._cell, width * self._cell, turns)
+        again = match(cloud, points, peak.pose, self._cell, prior)
+        return again if again.share > found.share else found
 
     def _keyframe(self, scan: int, pose: np.ndarray, factors: list[Factor]) -> None:
         self._node[scan], self._from[scan] = self._graph.add(pose, factors), 0.0

@@ -18,7 +18,7 @@ COVARIANCE = np.diag([0.01, 0.02, 0.005])
 
 @needs_gtsam
 def test_a_line_of_two_measurements_is_their_weighted_mean():
-    """Along a line all is linear: the posterior's mean is that of the weights, its variance the inverse of their sum."""
+    """Along a line the posterior's mean is that of the weights, its variance the inverse of their sum."""
     with PoseGraph("test") as graph:
         graph.add(np.zeros(3))
         graph.add(np.array([1.0, 0.0, 0.0]))

@@ -1,5 +1,6 @@
 """Test whole runs: a corridor whose loop must be closed, a false loop, and a short maze."""
 
+import dataclasses
 import importlib.util
 import json
 
@@ -26,7 +27,7 @@ CELL = 0.1
 @needs_gtsam
 def test_a_corridor_is_closed(monkeypatch):
     """Walls tell nothing along a corridor: without loops the drive ends far off, with them near the truth."""
-    log = drive()
+    log = drive(too_long=0.2)
     heard = []
     closed = run_scan_graph(log, CELL, on_progress=lambda *event: heard.append(event))
     monkeypatch.setattr(LoopSearch, "close", lambda self, nodes: [])
@@ -57,7 +58,7 @@ def standing(log, scans, true, drift):
 @needs_gtsam
 @pytest.mark.parametrize("same", [True, False])
 def test_a_loop_is_taken_at_its_place_and_refused_at_another(same):
-    """The estimate claims that the last scan sees the first submap; it does, or it is of another part of the building."""
+    """The estimate claims that the last scan sees the first submap; it does, or it is of another place."""
     log = drive()
     first = list(range(0, 2 * SUBMAP, 2))
     between = list(range(100, 100 + 3 * SUBMAP))
@@ -95,6 +96,16 @@ def test_only_loops_that_agree_count():
     assert [f.b for _, f in search._waiting] == [51]
     assert search._agreed(1, loop(53, 10.0)) == []  # another submap
     assert [f.b for f in search._agreed(0, loop(54, 10.5))] == [54, 51]
+
+
+@needs_gtsam
+def test_a_slip_is_searched_for():
+    """A wheel that slips by 32 degrees in one step turns the drive by as much, and the scan matcher finds it."""
+    log = drive(too_long=0.0)
+    log = dataclasses.replace(log, ranges=log.ranges[:40], motions=log.motions[:39].copy(), poses=log.poses[:40])
+    log.motions[20, 2] += 0.55
+    assert errors(log, log.path())[-1] > 0.5
+    assert errors(log, run_scan_graph(log, CELL).poses)[-1] < 0.1
 
 
 @needs_gtsam
