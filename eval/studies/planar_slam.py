@@ -15,7 +15,9 @@ from vssm_gym.viz.pictures import svg
 
 INTEGRATED, SLAM, GRAPH = "path integration", "PRISM in the plane", "scan matching, pose graph"
 HEADER = ("method", "error at the end, m", "mean error, m", "loops: mean, m", "median, m", "turn, deg", "scans/s")
-OF_THE_GRAPH = "The pose graph's path is that after its last optimisation: early poses know later scans, those of the filter do not."
+OF_THE_GRAPH = (
+    "The pose graph's path is that after its last optimisation: unlike the filter's, its poses know later scans."
+)
 
 
 def run(

@@ -3,8 +3,8 @@
     m = sum_j w_j p_j,   n = the direction of least spread of the p_j,    over the points within a radius of a place
     (1 + 1 / mass + u^2 / (mass spread)) s^2,    the variance of a point's distance to it, u along it from m
 
-of points with noise s: a line through few points says little, and less beyond them. A place with too few points has twice
-the radius. Points count together only where they were seen from the same side, so that a thin wall has two surfaces.
+of points with noise s: a line through few points says little, and less beyond them. A place with too few points has
+twice the radius. Points count together only where they were seen from the same side: a thin wall has two surfaces.
 """
 
 from dataclasses import dataclass

@@ -2,9 +2,10 @@
 
     score(T) = mean_k exp(-(d(T p_k) / cell)^2 / 2),    d the distance to the surface
 
-The window's positions are searched in blocks of ``BLOCK`` x ``BLOCK`` cells: the score in a field that holds each block's
-maximum bounds that of every position in it, so a block whose bound is below the best score found is left out (Olson's
-two levels, Cartographer's bound). A second peak that is nearly as high says that the place cannot be told from another.
+The window's positions are searched in blocks of ``BLOCK`` x ``BLOCK`` cells: the score in a field that holds each
+block's maximum bounds that of every position in it, so a block whose bound is below the best score found is left out
+(Olson's two levels, Cartographer's bound). A second peak that is nearly as high says that the place cannot be told from
+another.
 """
 
 from dataclasses import dataclass

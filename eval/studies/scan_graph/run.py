@@ -4,8 +4,8 @@
                 where it does not fit; one that has
                 moved or turned enough becomes a keyframe, a node of the graph
     loops       every few keyframes those that see an older submap are matched to it, and the graph is optimised
-    refinement  all keyframes are matched again to the submaps around them, made at the optimised poses, and optimised, a
-                few times; every other scan keeps its pose in the keyframe before it
+    refinement  all keyframes are matched again to the submaps around them, made at the optimised poses, and optimised,
+                twice; every other scan keeps its pose in the keyframe before it
 
 The odometry's errors are taken to be those that our own filter takes (eq. M35).
 """

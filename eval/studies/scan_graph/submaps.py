@@ -1,7 +1,7 @@
 """Group keyframes into submaps, the surfaces that later scans are matched to.
 
-A submap is ``SUBMAP`` consecutive keyframes, its frame that of its middle one, the anchor. Its surface is made once from
-the relative poses that the keyframes then have, and anew after :meth:`Submaps.forget`.
+A submap is ``SUBMAP`` consecutive keyframes, its frame that of its middle one, the anchor. Its surface is made once
+from the relative poses that the keyframes then have, and anew after :meth:`Submaps.forget`.
 """
 
 from dataclasses import dataclass, field

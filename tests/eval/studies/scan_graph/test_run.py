@@ -137,6 +137,21 @@ def test_the_command_says_what_is_missing(tmp_path, monkeypatch):
     assert not (tmp_path / "out" / "slam2d.html").exists()
 
 
+def test_an_error_is_carried_over_a_motion():
+    """By differences: what an error before a motion is in the frame after it."""
+    pose, motion, step = np.array([1.0, 2.0, 0.7]), np.array([0.4, -0.2, 0.9]), 1e-6
+    carry = scan_graph._carried(motion)
+    for k, error in enumerate(step * np.eye(3)):
+        after = scan_graph.relation(compose(pose, motion), compose(compose(pose, error), motion))
+        np.testing.assert_allclose(after / step, carry[:, k], atol=1e-5)
+
+
+@pytest.mark.parametrize("max_range", [0.0, -1.0])
+def test_a_range_that_sees_nothing_is_refused(max_range):
+    with pytest.raises(InputError, match="max-range: expected above 0 m"):
+        run_scan_graph(drive(), CELL, max_range)
+
+
 def test_a_single_scan_is_refused():
     log = drive()
     one = LaserLog(
