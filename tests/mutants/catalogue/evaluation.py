@@ -5,7 +5,6 @@ from tests.mutants.mutant import Mutant
 POSES, OF_POSES = "eval/metrics/pose_calibration.py", "tests/eval/test_pose_calibration.py"
 OF_TRUST = "tests/agents/test_trust.py"
 AGGREGATE, OF_AGGREGATE = "eval/metrics/aggregate.py", "tests/eval/test_aggregate.py"
-
 OF_MATCHING = "tests/eval/studies/scan_graph/test_matching.py"
 
 EVALUATION = (

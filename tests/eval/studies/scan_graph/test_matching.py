@@ -163,7 +163,9 @@ def test_a_search_finds_the_best_pose_of_all(off):
 def test_a_search_that_cannot_end_says_that_the_place_has_rivals(monkeypatch):
     monkeypatch.setattr(correlative, "MOST_BLOCKS", 2)
     [points] = seen(CORNER, 9)
-    peak = correlative.search(correlative.field(CLOUD, CELL), points, CORNER + [0.7, 0.6, 0.4], CELL, 1.2, 0.6)
+    peak = correlative.search(
+        correlative.field(CLOUD, CELL), points, CORNER + np.array([0.7, 0.6, 0.4]), CELL, 1.2, 0.6
+    )
     assert peak.rival == peak.score > 0.0
 
 
