@@ -19,7 +19,7 @@ from vssm_gym.data.laser_logs import LaserLog, compose
 SURFACE_RADII = (3.0, 6.0)  # cells around a place, of the points that make its normal: the first that has enough
 FEWEST_NEIGHBOURS = 3  # points that make a normal
 MOST_ROUND = 0.25  # ratio of the variances across and along, above which a place is a corner
-SIDES = 8  # directions from which a cell is seen, that are kept apart
+VIEW_SIDES = 8  # directions from which a cell is seen, that are kept apart
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,9 @@ def surface(points: Points, cell: float) -> Cloud:
     """Return the surface of points: a place for each cell and side; corners and lone points are left out."""
     found = [np.zeros((0, 6))]
     if len(points):
-        side = np.floor((np.arctan2(points.views[:, 1], points.views[:, 0]) / (2.0 * np.pi) + 0.5) * SIDES).astype(int)
+        side = np.floor((np.arctan2(points.views[:, 1], points.views[:, 0]) / (2.0 * np.pi) + 0.5) * VIEW_SIDES).astype(
+            int
+        )
         keys = np.column_stack([np.floor(points.places / cell).astype(int), side])
         keys -= keys.min(axis=0)
         extent = keys.max(axis=0) + 1

@@ -2,10 +2,9 @@
 
     score(T) = mean_k exp(-(d(T p_k) / cell)^2 / 2),    d the distance to the surface
 
-The window's positions are searched in blocks of ``BLOCK`` x ``BLOCK`` cells: the score in a field that holds each
-block's maximum bounds that of every position in it, so a block whose bound is below the best score found is left out
-(Olson's two levels, Cartographer's bound). A second peak that is nearly as high says that the place cannot be told from
-another.
+The window's positions are searched in square blocks of cells: the score in a field of each block's maximum bounds
+that of every position in it, so a block whose bound is below the best score found is left out (Olson's two levels,
+Cartographer's bound). A second peak that is nearly as high says that the place cannot be told from another.
 """
 
 from dataclasses import dataclass
@@ -16,10 +15,10 @@ from scipy.ndimage import distance_transform_edt, maximum_filter1d
 
 from vssm_gym.eval.studies.scan_graph.clouds import Cloud, Points, rotation
 
-BLOCK = 4  # cells
-MOST_POINTS = 90  # of a scan, that are scored
+SEARCH_BLOCK = 4  # cells
+MOST_SCORED = 90  # of a scan, that are scored
 RIVAL = 0.95  # of the best score: blocks that may hold a rival are searched too
-MOST_BLOCKS = 1000  # that a search looks into: where so many may hold the best pose, no one is
+MOST_EXPANDED = 1000  # that a search looks into: where so many may hold the best pose, no one is
 RIVAL_CELLS, RIVAL_TURN = 6.0, 0.15  # cells, rad from the best pose, beyond which a peak is another
 SEARCH_STEP = (0.01, 0.05)  # rad, least and largest step of the turn
 
@@ -30,7 +29,7 @@ class Field:
 
     Attributes:
         fine: of a point in a cell; 0 beyond the border.
-        coarse: largest of the ``BLOCK`` x ``BLOCK`` cells from a cell on.
+        coarse: largest of the ``SEARCH_BLOCK`` x ``SEARCH_BLOCK`` cells from a cell on.
         low: the place of the first cell, m.
     """
 
@@ -57,11 +56,11 @@ def field(cloud: Cloud, cell: float) -> Field:
     free[tuple(np.floor((cloud.places - low) / cell).astype(int).T)] = False
     fine = np.exp(-0.5 * distance_transform_edt(free) ** 2)
     fine[fine < 1e-3] = 0.0
-    fine = np.pad(fine, BLOCK)  # blocks that begin before the border
+    fine = np.pad(fine, SEARCH_BLOCK)  # blocks that begin before the border
     coarse = fine
     for axis in (0, 1):
-        coarse = maximum_filter1d(coarse, BLOCK, axis, mode="constant", origin=-(BLOCK // 2))
-    return Field(fine, coarse, low - BLOCK * cell)
+        coarse = maximum_filter1d(coarse, SEARCH_BLOCK, axis, mode="constant", origin=-(SEARCH_BLOCK // 2))
+    return Field(fine, coarse, low - SEARCH_BLOCK * cell)
 
 
 def search(
@@ -77,24 +76,24 @@ def search(
         window: half its width, m.
         turns: half of its turns, rad.
     """
-    places = points.places[:: max(1, len(points) // MOST_POINTS)]
+    places = points.places[:: max(1, len(points) // MOST_SCORED)]
     far = float(np.percentile(np.hypot(*places.T), 75))
     step = float(np.clip(cell / far, *SEARCH_STEP))
     count = int(np.ceil(turns / step))
     headings = centre[2] + step * np.arange(-count, count + 1)
     rotated = np.stack([places @ rotation(heading).T for heading in headings])
     cells = np.floor((rotated + centre[:2] - within.low) / cell).astype(int)
-    blocks = int(np.ceil(window / (BLOCK * cell)))
-    offsets = BLOCK * np.stack(np.meshgrid(*2 * [np.arange(-blocks, blocks)], indexing="ij"), -1).reshape(-1, 2)
+    blocks = int(np.ceil(window / (SEARCH_BLOCK * cell)))
+    offsets = SEARCH_BLOCK * np.stack(np.meshgrid(*2 * [np.arange(-blocks, blocks)], indexing="ij"), -1).reshape(-1, 2)
     bounds = np.stack([_score(within.coarse, c, offsets) for c in cells])
-    inside = np.stack(np.meshgrid(*2 * [np.arange(BLOCK)], indexing="ij"), axis=-1).reshape(-1, 2)
+    inside = np.stack(np.meshgrid(*2 * [np.arange(SEARCH_BLOCK)], indexing="ij"), axis=-1).reshape(-1, 2)
     found: list[np.ndarray] = []  # score, heading's number, offset
     best = 0.0
     for number in np.argsort(-bounds, axis=None):
         k, block = np.unravel_index(number, bounds.shape)
         if bounds[k, block] < max(RIVAL * best, 1e-6):
             break
-        if len(found) == MOST_BLOCKS:
+        if len(found) == MOST_EXPANDED:
             return Peak(np.array(centre, float), best, best)
         fine = offsets[block] + inside
         scores = _score(within.fine, cells[k], fine)

@@ -17,7 +17,7 @@ from vssm_gym.data.laser_logs import relation
 from vssm_gym.eval.foreign_process import ForeignProcess
 
 GTSAM_COMMAND = (sys.executable, "-m", "vssm_gym.eval.studies.scan_graph.gtsam_program")
-UPPER = np.triu_indices(3)
+UPPER = np.triu_indices(3)  # row and column of each number of a symmetric matrix that is sent
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 HOW_GTSAM = "GTSAM: pip install gtsam"
-HELD = 1e-6  # m, rad: standard deviation of the first node
+GAUGE = 1e-6  # m, rad: standard deviation of the first node
 CAUCHY = 2.0  # standard deviations, beyond which a robust factor loses weight
 ITERATIONS = 30  # of Levenberg-Marquardt at most
 STEADY = 1e-6  # relative change of the cost, that ends it
@@ -77,7 +77,7 @@ class Optimiser:
             self._hold()
 
     def _hold(self) -> None:
-        noise = self._gtsam.noiseModel.Isotropic.Sigma(3, HELD)
+        noise = self._gtsam.noiseModel.Isotropic.Sigma(3, GAUGE)
         self._graph.add(self._gtsam.PriorFactorPose2(0, self._values.atPose2(0), noise))
 
     def _between(self, marginals: Any, a: int, b: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Find loops: keyframes that see an older submap, and the checks that a match must pass.
 
-    near      submaps within ``NEAR`` cells and three standard deviations of the distance estimated
+    near      submaps within ``LOOP_CELLS`` cells and three standard deviations of the distance estimated
     matched   from the pose estimated where it is known well, otherwise by a search through three standard deviations
     checked   enough of the scan lies on the surface, no other pose fits as well, and the pose found is likely under the
               estimate's covariance
@@ -21,14 +21,14 @@ from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 from vssm_gym.eval.studies.scan_graph.matching import Match, match
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, TRACKED, Submaps
 
-NEAR = 15.0  # cells from a submap's nearest keyframe
+LOOP_CELLS = 15.0  # cells from a submap's nearest keyframe
 DRIFT = 0.1  # of the way between two keyframes, the most that their distance may be off by
 DOUBT = 2.0  # factor on standard deviations
 MOST_LOOPS = 3  # submaps that a keyframe is matched to
 SURELY = (4.0, 0.1)  # cells, rad: windows up to which a match begins at the pose estimated
-WIDEST = (40.0, 0.6)  # cells, rad, of a search
+WIDEST_SEARCH = (40.0, 0.6)  # cells, rad, of a search
 LEAST_SCORE = 0.5  # of a search
-LEAST_SHARE = 0.65  # of the points on the surface
+LEAST_MATCHED = 0.65  # of the points on the surface
 LIKELY = 16.0  # squared error in the covariance, three degrees of freedom: 0.1 % are larger
 LOOP_FLOOR = (0.1, 0.002)  # cells, rad: what is added to a match's covariance
 BLIND = (100.0, 1.0)  # cells, rad: covariance of a direction that the scan says nothing of
@@ -91,7 +91,7 @@ class LoopSearch:
         steps = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
         way = steps[node] - steps[[self.submaps.anchor(number) for number in range(known)]]
         nearest = np.argsort(apart)[:MOST_LOOPS]
-        return [int(number) for number in nearest if apart[number] < NEAR * cell + DRIFT * way[number]]
+        return [int(number) for number in nearest if apart[number] < LOOP_CELLS * cell + DRIFT * way[number]]
 
     def _verified(self, node: int, number: int, covariance: np.ndarray) -> list[Factor]:
         """Return the loops that a match makes certain: none, its own, or also one that waited for it."""
@@ -101,14 +101,14 @@ class LoopSearch:
         window = 3.0 * float(np.sqrt(max(covariance[0, 0], covariance[1, 1]))), 3.0 * float(np.sqrt(covariance[2, 2]))
         apart = float(self.submaps.distances(poses, poses[node, :2])[number])
         cloud = self.submaps.cloud(number, poses)
-        if apart > NEAR * cell + window[0] or not len(cloud.places):
+        if apart > LOOP_CELLS * cell + window[0] or not len(cloud.places):
             return []
         points = self.submaps.points[node]
         sure = window[0] <= SURELY[0] * cell and window[1] <= SURELY[1]
         if sure:
             found = match(cloud, points, expected, cell, (expected, np.linalg.inv(covariance)))
         else:
-            limits = min(window[0], WIDEST[0] * cell), min(window[1], WIDEST[1])
+            limits = min(window[0], WIDEST_SEARCH[0] * cell), min(window[1], WIDEST_SEARCH[1])
             peak = search(self.submaps.likelihood(number, poses), points, expected, cell, *limits)
             if peak.score < LEAST_SCORE or peak.rival > 0.95 * peak.score:
                 self.refused += 1
@@ -116,7 +116,7 @@ class LoopSearch:
             found = match(cloud, points, peak.pose, cell, reach=3.0)
         error = relation(expected, found.pose)
         own = match_covariance(found, cell)
-        if found.share < LEAST_SHARE or error @ np.linalg.solve(covariance + own, error) > LIKELY:
+        if found.share < LEAST_MATCHED or error @ np.linalg.solve(covariance + own, error) > LIKELY:
             self.refused += 1
             return []
         loop = Factor(anchor, node, found.pose, own, robust=True)

@@ -17,12 +17,12 @@ from vssm_gym.data.laser_logs import compose, relation
 from vssm_gym.eval.studies.scan_graph.clouds import Cloud, Points, rotation
 
 MATCH_STEPS = 20  # Gauss-Newton steps at most
-SETTLED = 1e-2  # cells, and hundredths of a rad, of the last step
-FACING = 0.1  # least cosine between a normal and the direction to the scanner
+MATCH_SETTLED = 1e-2  # cells, and hundredths of a rad, of the last step
+LEAST_FACING = 0.1  # least cosine between a normal and the direction to the scanner
 LEAST_NOISE = 0.1  # cells, standard deviation of a point about the surface
 INLIER = 1.5  # cells from the surface
-FEWEST_POINTS = 8  # of a match
-TIGHT = 2.5  # cells of the last association
+FEWEST_MATCHED = 8  # of a match
+LAST_REACH = 2.5  # cells of the last association
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ def match(
         start: pose of that frame.
         cell: length that all lengths of the method are in, m.
         prior: mean and information of the pose, that the outcome balances; None: none.
-        reach: cells from a point to the surface, at first; it halves down to ``TIGHT``.
+        reach: cells from a point to the surface, at first; it halves down to ``LAST_REACH``.
     """
     pose = np.array(start, float)
     none = Match(pose if prior is None else np.array(prior[0]), np.zeros((3, 3)), 0.0, np.inf)
-    if len(points) < FEWEST_POINTS or len(cloud.places) < FEWEST_POINTS:
+    if len(points) < FEWEST_MATCHED or len(cloud.places) < FEWEST_MATCHED:
         return none
     scale = np.array([cell, cell, 0.01])
     data, noise, share = np.zeros((3, 3)), LEAST_NOISE * cell, 0.0
@@ -71,8 +71,8 @@ def match(
         at = points.places @ turn.T + pose[:2]
         apart, nearest = cloud.tree.query(at, distance_upper_bound=reach * cell)
         met = np.isfinite(apart)
-        met[met] &= (cloud.normals[nearest[met]] * (points.views[met] @ turn.T)).sum(axis=1) > FACING
-        if met.sum() < FEWEST_POINTS:
+        met[met] &= (cloud.normals[nearest[met]] * (points.views[met] @ turn.T)).sum(axis=1) > LEAST_FACING
+        if met.sum() < FEWEST_MATCHED:
             return none
         k, p = nearest[met], points.places[met]
         n, away = cloud.normals[k], at[met] - cloud.places[k]
@@ -94,9 +94,9 @@ def match(
         total += np.diag(1e-6 / scale**2)  # a direction that nothing tells stays as it is
         step = np.linalg.solve(total, gradient)
         pose = compose(pose, np.clip(step, -3.0 * reach * scale, 3.0 * reach * scale))
-        if np.all(np.abs(step) < SETTLED * scale) and reach <= TIGHT:
+        if np.all(np.abs(step) < MATCH_SETTLED * scale) and reach <= LAST_REACH:
             break
-        reach = max(0.7 * reach, TIGHT)
+        reach = max(0.7 * reach, LAST_REACH)
     return Match(pose, data, share, noise)
 
 

@@ -21,7 +21,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.scan_graph.clouds import Cloud, points_of
 from vssm_gym.eval.studies.scan_graph.correlative import field, search
 from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
-from vssm_gym.eval.studies.scan_graph.loops import LEAST_SHARE, LoopSearch, match_covariance
+from vssm_gym.eval.studies.scan_graph.loops import LEAST_MATCHED, LoopSearch, match_covariance
 from vssm_gym.eval.studies.scan_graph.matching import Match, match
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, Submaps
 from vssm_gym.progress import OnProgress
@@ -31,7 +31,7 @@ KEYFRAME = (5.0, 0.35)  # cells, rad: a scan that moved or turned so far from th
 LOST_SHARE = 0.5  # of a scan's points on the surface, below which it is searched for
 LOST_WINDOW = (10.0, 0.6)  # cells, rad, of that search
 SEARCHED_TOGETHER = 5  # keyframes whose loops are looked for at once
-ROUNDS = 2  # of the refinement
+REFINEMENTS = 2  # of the refinement
 AROUND = 15.0  # cells from a submap's nearest keyframe, within which a scan is matched to it again
 MOST_AROUND = 8  # submaps that a keyframe is matched to in the refinement
 
@@ -138,7 +138,7 @@ class _Drive:
 
     def refine(self, on_progress: OnProgress | None) -> None:
         """Match all keyframes to the submaps around them, and optimise, a few times."""
-        for number in range(ROUNDS):
+        for number in range(REFINEMENTS):
             self._submaps.forget()
             poses, factors = self._graph.poses, list(self._chain)
             for node in range(len(self.keyframes)):
@@ -146,7 +146,7 @@ class _Drive:
             self._graph.connect(factors, clear=True)
             self._graph.solve()
             if on_progress:
-                on_progress("refinement", number + 1, ROUNDS)
+                on_progress("refinement", number + 1, REFINEMENTS)
 
     def placed(self) -> Float[np.ndarray, "scans 3"]:
         """Return the pose of every scan: a keyframe's own, or that found from the keyframe before it."""
@@ -192,7 +192,7 @@ class _Drive:
         found = match(
             self._submaps.cloud(number, poses), self._points[self.keyframes[node]], start, self._cell, reach=2.0
         )
-        if found.share < LEAST_SHARE:
+        if found.share < LEAST_MATCHED:
             return None
         return Factor(anchor, node, found.pose, match_covariance(found, self._cell), robust=True)
 

@@ -151,7 +151,7 @@ EVALUATION = (
     Mutant(
         "blocks-of-a-search-begin-in-their-middle",
         "eval/studies/scan_graph/correlative.py",
-        "origin=-(BLOCK // 2)",
+        "origin=-(SEARCH_BLOCK // 2)",
         "origin=0",
         (f"{OF_MATCHING}::test_the_coarse_field_bounds_the_fine_one",),
     ),

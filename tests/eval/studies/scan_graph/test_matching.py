@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from tests.helpers.corridor import ALONG, BEAMS, REACH, WALLS, box, drive, scans
+from tests.eval.studies.scan_graph.corridor import ALONG, BEAMS, REACH, WALLS, box, drive, scans
 from vssm_gym.data.laser_logs import LaserLog, compose, relation
 from vssm_gym.eval.studies.scan_graph import correlative
 from vssm_gym.eval.studies.scan_graph.clouds import Points, points_of, surface, together
@@ -136,7 +136,7 @@ def test_a_prior_holds_a_scan_without_readings():
 def test_the_coarse_field_bounds_the_fine_one():
     fields = correlative.field(CLOUD, CELL)
     w, h = fields.fine.shape
-    for i, j in np.ndindex(correlative.BLOCK, correlative.BLOCK):
+    for i, j in np.ndindex(correlative.SEARCH_BLOCK, correlative.SEARCH_BLOCK):
         assert (fields.coarse[: w - i, : h - j] >= fields.fine[i:, j:] - 1e-12).all()
 
 
@@ -161,7 +161,7 @@ def test_a_search_finds_the_best_pose_of_all(off):
 
 
 def test_a_search_that_cannot_end_says_that_the_place_has_rivals(monkeypatch):
-    monkeypatch.setattr(correlative, "MOST_BLOCKS", 2)
+    monkeypatch.setattr(correlative, "MOST_EXPANDED", 2)
     [points] = seen(CORNER, 9)
     peak = correlative.search(
         correlative.field(CLOUD, CELL), points, CORNER + np.array([0.7, 0.6, 0.4]), CELL, 1.2, 0.6

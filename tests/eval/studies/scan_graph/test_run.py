@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.helpers.corridor import drive
+from tests.eval.studies.scan_graph.corridor import drive
 from vssm_gym.cli.slam import slam2d
 from vssm_gym.data.laser_logs import LaserLog, compose
 from vssm_gym.data.traversals import errors, traverse
@@ -17,7 +17,7 @@ from vssm_gym.eval.studies.scan_graph import run as scan_graph
 from vssm_gym.eval.studies.scan_graph.clouds import points_of
 from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 from vssm_gym.eval.studies.scan_graph.loops import LoopSearch
-from vssm_gym.eval.studies.scan_graph.run import ROUNDS, run_scan_graph
+from vssm_gym.eval.studies.scan_graph.run import REFINEMENTS, run_scan_graph
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, Submaps
 
 needs_gtsam = pytest.mark.skipif(importlib.util.find_spec("gtsam") is None, reason="GTSAM is not installed")
@@ -31,12 +31,12 @@ def test_a_corridor_is_closed(monkeypatch):
     heard = []
     closed = run_scan_graph(log, CELL, on_progress=lambda *event: heard.append(event))
     monkeypatch.setattr(LoopSearch, "close", lambda self, nodes: [])
-    monkeypatch.setattr(scan_graph, "ROUNDS", 0)
+    monkeypatch.setattr(scan_graph, "REFINEMENTS", 0)
     open_ended = run_scan_graph(log, CELL)
     assert errors(log, open_ended.poses)[-1] > 0.5
     assert closed.loops > 0 and errors(log, closed.poses)[-1] < 0.1
     assert errors(log, closed.online)[-1] < 0.15
-    assert heard[-1] == ("refinement", ROUNDS, ROUNDS)
+    assert heard[-1] == ("refinement", REFINEMENTS, REFINEMENTS)
     assert ("scan graph", len(log) - 1, len(log) - 1) in heard
 
 
@@ -85,7 +85,7 @@ def test_a_loop_is_taken_at_its_place_and_refused_at_another(same):
 
 
 def test_only_loops_that_agree_count():
-    """Of three loops two say the same of the motion between their keyframes, and the third waits in vain."""
+    """Two of three loops say the same of the motion between their keyframes, and the third waits in vain."""
     graph = PoseGraph("test")
     graph.poses = np.array([[0.5 * k, 0.0, 0.0] for k in range(60)])
     search, spread = LoopSearch(Submaps(CELL), graph), 1e-3 * np.eye(3)
