@@ -1,25 +1,24 @@
 """Test the graph: against a closed form and a least-squares oracle, with a wrong loop, and without the library."""
 
-import importlib.util
 import sys
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from tests.eval.studies.scan_graph.optimisers import OPTIMISERS
 from vssm_gym.data.laser_logs import compose, relation
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 
-needs_gtsam = pytest.mark.skipif(importlib.util.find_spec("gtsam") is None, reason="GTSAM is not installed")
 STEP = np.array([1.0, 0.0, np.pi / 2])
 COVARIANCE = np.diag([0.01, 0.02, 0.005])
 
 
-@needs_gtsam
-def test_a_line_of_two_measurements_is_their_weighted_mean():
+@pytest.mark.parametrize("command", OPTIMISERS)
+def test_a_line_of_two_measurements_is_their_weighted_mean(command):
     """Along a line the posterior's mean is that of the weights, its variance the inverse of their sum."""
-    with PoseGraph("test") as graph:
+    with PoseGraph("test", command) as graph:
         graph.add(np.zeros(3))
         graph.add(np.array([1.0, 0.0, 0.0]))
         for x, variance in ((1.0, 0.04), (1.3, 0.01)):
@@ -55,12 +54,12 @@ def residuals(factors, poses):
     return np.concatenate(found)
 
 
-@needs_gtsam
-def test_the_optimum_is_that_of_a_least_squares_oracle():
+@pytest.mark.parametrize("command", OPTIMISERS)
+def test_the_optimum_is_that_of_a_least_squares_oracle(command):
     """GTSAM's error is a logarithm, the oracle's a difference: for these errors they agree to a millimetre."""
     closing = [Factor(k, k + 4, np.zeros(3), 0.1 * COVARIANCE) for k in range(4)]
     poses, factors = square(closing)
-    with PoseGraph("test") as graph:
+    with PoseGraph("test", command) as graph:
         built(graph, poses, factors)
         before = sum(map(graph.squared, factors))
         graph.solve()
@@ -85,12 +84,12 @@ def _seen(solved, poses, a, b):
     return J @ total @ J.T
 
 
-@needs_gtsam
-def test_a_wrong_loop_changes_little_and_dropping_the_factors_drops_it():
+@pytest.mark.parametrize("command", OPTIMISERS)
+def test_a_wrong_loop_changes_little_and_dropping_the_factors_drops_it(command):
     right = [Factor(k, k + 4, np.zeros(3), COVARIANCE, robust=True) for k in range(4)]
     wrong = Factor(0, 6, np.zeros(3), 1e-4 * np.eye(3), robust=True)
     poses, factors = square(right)
-    with PoseGraph("test") as graph:
+    with PoseGraph("test", command) as graph:
         built(graph, poses, factors)
         graph.solve()
         without = graph.poses

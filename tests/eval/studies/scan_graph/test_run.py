@@ -1,13 +1,14 @@
 """Test whole runs: a corridor whose loop must be closed, a false loop, and a short maze."""
 
 import dataclasses
-import importlib.util
+import functools
 import json
 
 import numpy as np
 import pytest
 
 from tests.eval.studies.scan_graph.corridor import drive
+from tests.eval.studies.scan_graph.optimisers import GTSAM_COMMAND, LEAST_SQUARES, OPTIMISERS, needs_gtsam
 from vssm_gym.cli.slam import slam2d
 from vssm_gym.data.laser_logs import LaserLog, compose
 from vssm_gym.data.traversals import errors, traverse
@@ -20,11 +21,17 @@ from vssm_gym.eval.studies.scan_graph.loops import LoopSearch
 from vssm_gym.eval.studies.scan_graph.run import REFINEMENTS, run_scan_graph
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, Submaps
 
-needs_gtsam = pytest.mark.skipif(importlib.util.find_spec("gtsam") is None, reason="GTSAM is not installed")
 CELL = 0.1
 
 
-@needs_gtsam
+@pytest.fixture(params=OPTIMISERS)
+def optimiser(request, monkeypatch):
+    """Run with each optimiser that there is."""
+    monkeypatch.setattr(scan_graph, "PoseGraph", functools.partial(PoseGraph, command=request.param))
+    return request.param
+
+
+@pytest.mark.usefixtures("optimiser")
 def test_a_corridor_is_closed(monkeypatch):
     """Walls tell nothing along a corridor: without loops the drive ends far off, with them near the truth."""
     log = drive(too_long=0.2)
@@ -40,9 +47,9 @@ def test_a_corridor_is_closed(monkeypatch):
     assert ("scan graph", len(log) - 1, len(log) - 1) in heard
 
 
-def standing(log, scans, true, drift):
+def standing(command, log, scans, true, drift):
     """Return submaps of scans at true poses, and a graph in which the last keyframe has a drift."""
-    submaps, graph = Submaps(CELL), PoseGraph("test")
+    submaps, graph = Submaps(CELL), PoseGraph("test", command)
     graph.__enter__()
     for node, scan in enumerate(scans):
         submaps.points.append(points_of(log, scan, log.max_range))
@@ -55,9 +62,8 @@ def standing(log, scans, true, drift):
     return submaps, graph
 
 
-@needs_gtsam
 @pytest.mark.parametrize("same", [True, False])
-def test_a_loop_is_taken_at_its_place_and_refused_at_another(same):
+def test_a_loop_is_taken_at_its_place_and_refused_at_another(same, optimiser):
     """The estimate claims that the last scan sees the first submap; it does, or it is of another place."""
     log = drive()
     first = list(range(0, 2 * SUBMAP, 2))
@@ -68,7 +74,7 @@ def test_a_loop_is_taken_at_its_place_and_refused_at_another(same):
         true[150] = true[10]
     else:
         assert np.hypot(*(true[scans[-1]] - true[10])[:2]) < 1.5
-    submaps, graph = standing(log, scans, true, np.array([0.15, -0.1, 0.03]))
+    submaps, graph = standing(optimiser, log, scans, true, np.array([0.15, -0.1, 0.03]))
     try:
         search = LoopSearch(submaps, graph)
         found = search.close(range(len(scans) - 1, len(scans)))
@@ -98,7 +104,7 @@ def test_only_loops_that_agree_count():
     assert [f.b for f in search._agreed(0, loop(54, 10.5))] == [54, 51]
 
 
-@needs_gtsam
+@pytest.mark.usefixtures("optimiser")
 def test_a_slip_is_searched_for():
     """A wheel that slips by 32 degrees in one step turns the drive by as much, and the scan matcher finds it."""
     log = drive(too_long=0.0)
@@ -108,7 +114,7 @@ def test_a_slip_is_searched_for():
     assert errors(log, run_scan_graph(log, CELL).poses)[-1] < 0.1
 
 
-@needs_gtsam
+@pytest.mark.usefixtures("optimiser")
 def test_a_maze_from_end_to_end():
     log = traverse(load_maze("pillars-v1"), 300, seed=1)
     blind = LaserLog(log.ranges, log.angles, log.max_range, log.mount, log.motions, None, log.loops, log.relations)
@@ -121,7 +127,7 @@ def test_a_maze_from_end_to_end():
     np.testing.assert_array_equal(found.poses, again.poses)
 
 
-@needs_gtsam
+@pytest.mark.usefixtures("optimiser")
 def test_the_command_adds_a_line(tmp_path):
     slam2d("pillars-v1", tmp_path / "out", steps=60, baseline=True)
     figures = json.loads((tmp_path / "out" / "slam2d.json").read_text())["figures"]
@@ -135,6 +141,17 @@ def test_the_command_says_what_is_missing(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"slam2d: gtsam: expected GTSAM: pip install gtsam \(none here\)"):
         slam2d("pillars-v1", tmp_path / "out", steps=10, baseline=True)
     assert not (tmp_path / "out" / "slam2d.html").exists()
+
+
+@needs_gtsam
+def test_both_optimisers_find_one_path(monkeypatch):
+    """Their errors are a logarithm and a difference, and they stop at other points: paths differ by little."""
+    log, found = drive(too_long=0.2), []
+    for command in (GTSAM_COMMAND, LEAST_SQUARES):
+        monkeypatch.setattr(scan_graph, "PoseGraph", functools.partial(PoseGraph, command=command))
+        found.append(run_scan_graph(log, CELL).poses)
+    apart = scan_graph.relation(*found)
+    assert np.hypot(*apart[:, :2].T).max() < 0.02
 
 
 def test_an_error_is_carried_over_a_motion():
