@@ -97,6 +97,7 @@ ONE_IMPORTER = {
     "torch",
     "ray",
     "open3d",
+    "gtsam",
     "rerun",
     "pygame",
     "jinja2",
@@ -145,7 +146,7 @@ FOLDERS = {
         ["world_model"],
     ],
     "eval": [
-        ["episodes"],
+        ["episodes", "foreign_process"],
         ["metrics"],
         ["protocols"],
         ["sweep"],

@@ -8,18 +8,27 @@ from matplotlib.figure import Figure
 from vssm_gym.data.laser_logs import LaserLog, relation
 from vssm_gym.data.traversals import errors
 from vssm_gym.eval.studies.page import Study
+from vssm_gym.eval.studies.scan_graph.run import run_scan_graph
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.planar_run import PlanarRun, loop_errors, run_scans
 from vssm_gym.viz.pictures import svg
 
-INTEGRATED, SLAM = "path integration", "PRISM in the plane"
+INTEGRATED, SLAM, GRAPH = "path integration", "PRISM in the plane", "scan matching, pose graph"
 HEADER = ("method", "error at the end, m", "mean error, m", "loops: mean, m", "median, m", "turn, deg", "scans/s")
+OF_THE_GRAPH = (
+    "The pose graph's path is that after its last optimisation: unlike the filter's, its poses know later scans."
+)
 
 
 def run(
-    name: str, log: LaserLog, cell_size: float, max_range: float | None = None, on_progress: OnProgress | None = None
+    name: str,
+    log: LaserLog,
+    cell_size: float,
+    max_range: float | None = None,
+    on_progress: OnProgress | None = None,
+    baseline: bool = False,
 ) -> tuple[Study, PlanarRun]:
-    """Track and map a log, and compare with its odometry alone.
+    """Track and map a log, and compare with its odometry alone, and with scan matching and a pose graph.
 
     Args:
         name: of the log, for the page.
@@ -27,13 +36,22 @@ def run(
         cell_size: of the map, m.
         max_range: m; farther readings are left out; None: those of the log.
         on_progress: called after every hundred scans.
+        baseline: whether to run the pose graph too.
 
     Returns:
         The outcome for a page, and the run itself.
+
+    Raises:
+        InputError: as :func:`run_scans` does, or GTSAM, which the baseline needs, is not installed.
     """
+    classical = run_scan_graph(log, cell_size, max_range, on_progress) if baseline else None  # it may be missing
     found = run_scans(log, cell_size, max_range, on_progress=on_progress)
     estimates = {INTEGRATED: log.path(), SLAM: found.poses}
+    if classical:
+        estimates[GRAPH] = classical.poses
     figures: dict[str, dict[str, Any]] = {method: _judged(log, poses) for method, poses in estimates.items()}
+    if classical:
+        figures[GRAPH] |= {"scans_per_second": len(log) / classical.seconds, "loops_closed": classical.loops}
     figures[SLAM] |= {"scans_per_second": len(log) / found.seconds, "used": float(found.used[1:].mean())}
     study = Study(
         name="slam2d",
@@ -48,6 +66,7 @@ def run(
             "The method reads scans and odometry. Errors are distances from the poses of the log, both seen from the "
             "first; in a simulation those are the true ones, in a recording what others have found. Loops are pairs "
             "of scans whose relation the log knows: the difference of the estimated relation from it.",
+            *([OF_THE_GRAPH] if classical else []),
         ),
     )
     return study, found
@@ -101,6 +120,8 @@ def _picture(log: LaserLog, found: PlanarRun, estimates: dict[str, np.ndarray]) 
     axes.plot(*estimates[INTEGRATED][:, :2].T, color="tab:orange", lw=0.8, label=INTEGRATED)
     if log.poses is not None:
         axes.plot(*relation(log.poses[:1], log.poses)[:, :2].T, color="tab:green", lw=1.6, label="the log's own poses")
+    if GRAPH in estimates:
+        axes.plot(*estimates[GRAPH][:, :2].T, color="tab:red", lw=0.8, label=GRAPH)
     axes.plot(*found.poses[:, :2].T, color="tab:blue", lw=0.8, label=SLAM)
     seen = np.argwhere(m.observed)
     first, last = low + cell * seen.min(axis=0), low + cell * seen.max(axis=0)

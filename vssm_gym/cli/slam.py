@@ -161,6 +161,7 @@ def slam2d(
     noise: str = "low",
     sensor_noise: str = "low",
     seed: int = 0,
+    baseline: bool = False,
 ) -> None:
     """Find the path of a robot with a laser scanner, and the map of its plane.
 
@@ -178,6 +179,7 @@ def slam2d(
         noise: of its execution: none, low, mid or high.
         sensor_noise: of its ranges: none, low, mid or high.
         seed: of the drive.
+        baseline: compare with scan matching and a pose graph, which GTSAM optimises (pip install gtsam).
     """
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.laser_logs import read_laser_log
@@ -200,7 +202,7 @@ def slam2d(
         scans, size = read_laser_log(Path(log)), cell
     with study_folder("slam2d", out):
         with progress_bars() as progress:
-            study, run = planar_slam.run(Path(log).name, scans, size, max_range, progress)
+            study, run = planar_slam.run(Path(log).name, scans, size, max_range, progress, baseline=baseline)
         with atomic_write(out / "trajectory.txt") as temporary, temporary.open("w") as file:
             file.write("# x y heading\n")
             file.writelines(f"{x:.6f} {y:.6f} {heading:.6f}\n" for x, y, heading in run.poses)

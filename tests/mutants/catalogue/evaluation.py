@@ -5,6 +5,7 @@ from tests.mutants.mutant import Mutant
 POSES, OF_POSES = "eval/metrics/pose_calibration.py", "tests/eval/test_pose_calibration.py"
 OF_TRUST = "tests/agents/test_trust.py"
 AGGREGATE, OF_AGGREGATE = "eval/metrics/aggregate.py", "tests/eval/test_aggregate.py"
+OF_MATCHING = "tests/eval/studies/scan_graph/test_matching.py"
 
 EVALUATION = (
     Mutant(
@@ -125,5 +126,33 @@ EVALUATION = (
         "inverse(inverse(Q[:-delta]) @ Q[delta:])",
         "inverse(Q[delta:] @ inverse(Q[:-delta]))",
         ("tests/slam/test_trajectory_metrics.py::test_alignment_recovers_the_motion",),
+    ),
+    Mutant(
+        "scan-matching-turns-the-wrong-way",
+        "eval/studies/scan_graph/matching.py",
+        "across[:, 1] * p[:, 0] - across[:, 0] * p[:, 1]",
+        "across[:, 0] * p[:, 1] - across[:, 1] * p[:, 0]",
+        (f"{OF_MATCHING}::test_a_known_motion_is_recovered",),
+    ),
+    Mutant(
+        "surfaces-seen-from-behind",
+        "eval/studies/scan_graph/clouds.py",
+        "weight *= (points.views[at][i] * points.views[j]).sum(axis=1) > 0.0",
+        "weight *= 1.0",
+        (f"{OF_MATCHING}::test_a_thin_wall_has_two_surfaces",),
+    ),
+    Mutant(
+        "odometry-error-carried-backwards",
+        "eval/studies/scan_graph/run.py",
+        "[[c, s, -c * motion[1] + s * motion[0]], [-s, c, s * motion[1] + c * motion[0]]",
+        "[[c, -s, -c * motion[1] + s * motion[0]], [s, c, s * motion[1] + c * motion[0]]",
+        ("tests/eval/studies/scan_graph/test_run.py::test_an_error_is_carried_over_a_motion",),
+    ),
+    Mutant(
+        "blocks-of-a-search-begin-in-their-middle",
+        "eval/studies/scan_graph/correlative.py",
+        "origin=-(SEARCH_BLOCK // 2)",
+        "origin=0",
+        (f"{OF_MATCHING}::test_the_coarse_field_bounds_the_fine_one",),
     ),
 )
