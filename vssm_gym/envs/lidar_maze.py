@@ -63,6 +63,7 @@ class LidarMazeEnv(PhasedEnv):
         render_mode: ``rgb_array``, ``human`` (a window) or None.
         captions: if True, a strip of text lies below each picture; a window always shows it.
         sensor: ``lidar``, which measures ``scan``, or ``camera``, which sees ``strip``.
+        wall_offset: m that every wall is thicker on each side; below 0 thinner.
     """
 
     parallel = True
@@ -82,6 +83,7 @@ class LidarMazeEnv(PhasedEnv):
         render_mode: str | None = None,
         captions: bool = False,
         sensor: Literal["lidar", "camera"] = "lidar",
+        wall_offset: float = 0.0,
     ) -> None:
         choose("LidarMaze", "sensor", sensor, ("lidar", "camera"))
         choose("LidarMaze", "task", task, ("navigate", "explore"))
@@ -92,7 +94,7 @@ class LidarMazeEnv(PhasedEnv):
         self.noise = motion_noise(noise)
         self.frames, self.render_mode = Frames("LidarMaze", render_mode, captions), render_mode
         self.end_on, self.reward = end_on, reward
-        self.maze = load_maze(scene)
+        self.maze = load_maze(scene, wall_offset)
         self.robot, self.beams = ROBOT, beams
         self.success_radius = SUCCESS * self.robot.body_length
         self.tasks = self.maze.tasks if tasks is None else checked_set("LidarMaze", tasks, self.maze.apartment)

@@ -54,7 +54,9 @@ def draw(
     bar.set_label("heading of a particle, degrees", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     _curves(figure.add_subplot(grid[rows, :]), spreads, [moment.scans for moment in moments])
-    figure.suptitle(f"Where is the robot? {particles:,} particles in a known map", fontsize=11)
+    figure.suptitle(
+        f"Where is the robot? {particles:,} particles in a known map; the ring is the true pose", fontsize=11
+    )
     return figure
 
 
@@ -74,12 +76,13 @@ def _panel(axes: Axes, m: PlanarMap, place: Affine2D, turn: float, moment: Momen
         headwidth=3.5, headlength=4.0, headaxislength=3.5, alpha=0.55, rasterized=True,
     )  # fmt: skip
     x, y, heading = _placed(moment.true[None], place, turn)
-    for colour_of, size in (("white", 8.5), (TRUE_COLOUR, 6.0)):
-        axes.plot(x, y, "o", ms=size, color=colour_of, zorder=4)
-    ahead = 0.09 * np.array([np.cos(heading[0]), np.sin(heading[0])])
+    for colour_of, width in (("white", 3.4), (TRUE_COLOUR, 1.8)):
+        axes.plot(x, y, "o", ms=11.0, mfc="none", mec=colour_of, mew=width, zorder=4)
+    ahead = np.array([np.cos(heading[0]), np.sin(heading[0])])
+    tail, tip = np.array([x[0], y[0]]) + 0.028 * ahead, np.array([x[0], y[0]]) + 0.1 * ahead
     style: dict[str, Any] = {"arrowstyle": "-|>", "color": TRUE_COLOUR, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
     style["path_effects"] = [withStroke(linewidth=3.2, foreground="white")]
-    axes.annotate("", (x[0] + ahead[0], y[0] + ahead[1]), (x[0], y[0]), arrowprops=style, zorder=5)
+    axes.annotate("", tuple(tip), tuple(tail), arrowprops=style, zorder=5)
     seen = place.transform(low + cell * (np.argwhere(m.observed) + 0.5))
     first, last = seen.min(axis=0) - 0.01, seen.max(axis=0) + 0.01
     axes.set(xlim=(first[0], last[0]), ylim=(first[1], last[1]), aspect="equal", xticks=[], yticks=[])

@@ -37,7 +37,7 @@ AMBIGUITY_EVERY = 4  # beams of a scan: one of so many is weighed
 # m: Laplace scale of a reading, and the share of the beams that count as independent. Particles are some centimetres
 # apart at first; a sharper density would leave one of them, at a place drawn by chance. Chosen on pillars-v1.
 AMBIGUITY_SCALE, AMBIGUITY_SHARE = 0.04, 0.0625
-AMBIGUITY_SHOWN = (1, 3, 5, 20, 60)  # scans, beside the last
+AMBIGUITY_SHOWN = (1, 3, 5, 10, 20)  # scans, beside the last
 AMBIGUITY_DRAWN = 1200  # particles of a picture, by their weight
 HEADER = ("scans", "places", "entropy, nats", "mass of the heaviest place", "mass at the true pose")
 
@@ -51,7 +51,7 @@ class Localised(NamedTuple):
 
 def run(
     maze: str = "serpentine-v1",
-    scans: int = 120,
+    scans: int = 60,
     particles: int = 20_000,
     seed: int = 0,
     on_progress: OnProgress | None = None,
