@@ -428,7 +428,7 @@ def pose_flow(out: Path, seed: int = 0) -> None:
 
 @interruptible()
 def pose_ambiguity(
-    out: Path, maze: str = "serpentine-v1", scans: int = 60, particles: int = 20_000, seed: int = 0
+    out: Path, maze: str = "serpentine-v1", scans: int = 120, particles: int = 20_000, seed: int = 0
 ) -> None:
     """Localise a robot in a known maze from nowhere, and count the places where it could be after each scan.
 

@@ -37,7 +37,7 @@ AMBIGUITY_EVERY = 4  # beams of a scan: one of so many is weighed
 # m: Laplace scale of a reading, and the share of the beams that count as independent. Particles are some centimetres
 # apart at first; a sharper density would leave one of them, at a place drawn by chance. Chosen on pillars-v1.
 AMBIGUITY_SCALE, AMBIGUITY_SHARE = 0.04, 0.0625
-AMBIGUITY_SHOWN = (1, 3, 5, 10, 20)  # scans, beside the last
+AMBIGUITY_SHOWN = (1, 5, 10, 20, 60)  # scans, beside the last
 AMBIGUITY_DRAWN = 1200  # particles of a picture, by their weight
 HEADER = ("scans", "places", "entropy, nats", "mass of the heaviest place", "mass at the true pose")
 
@@ -51,7 +51,7 @@ class Localised(NamedTuple):
 
 def run(
     maze: str = "serpentine-v1",
-    scans: int = 60,
+    scans: int = 120,
     particles: int = 20_000,
     seed: int = 0,
     on_progress: OnProgress | None = None,
@@ -129,8 +129,8 @@ def localise(
     model = OccupancyScans(m, scanner, AMBIGUITY_SCALE, AMBIGUITY_SHARE)
     floor = FLOOR_CELLS * float(m.cell_size)
     transition = Odometry((floor, floor, FLOOR_TURN), SHARES)
-    keys = jax.random.split(jax.random.key(seed), len(drive) + 1)
-    belief = uniform(keys[-1], m, particles)
+    key = jax.random.key(seed)
+    belief = uniform(jax.random.fold_in(key, 0), m, particles)
     shown = {*(at for at in AMBIGUITY_SHOWN if at < len(drive)), len(drive)}
     spreads, moments = [], []
     for t in range(len(drive) + 1):
@@ -138,11 +138,11 @@ def localise(
             belief = _first(belief, ranges[0], model, transition)
         elif t > 1:
             motion = jnp.asarray(drive.motions[t - 2], jnp.float32)
-            belief = _next(keys[t - 2], belief, motion, ranges[t - 1], model, transition)
+            belief = _next(jax.random.fold_in(key, t), belief, motion, ranges[t - 1], model, transition)
         at = true[max(t - 1, 0)]
         spreads.append(spread(np.asarray(belief.states), np.asarray(belief.weight), at))
         if t in shown:
-            moments.append(Moment(t, np.asarray(belief.sample(keys[-1], AMBIGUITY_DRAWN)), at))
+            moments.append(Moment(t, np.asarray(belief.sample(key, AMBIGUITY_DRAWN)), at))
         if on_progress:
             on_progress("localising", t, len(drive))
     return Localised(spreads, moments)
