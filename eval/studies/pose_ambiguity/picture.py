@@ -113,4 +113,12 @@ def _curves(axes: Axes, spreads: Sequence[Spread], shown: Sequence[int]) -> None
     for one in (axes, other):
         one.tick_params(labelsize=7)
     lines = [*axes.get_lines()[len(shown) :], *other.get_lines()]
-    axes.legend(lines, [str(line.get_label()) for line in lines], fontsize=7, loc="center right")
+    axes.legend(
+        lines,
+        [str(line.get_label()) for line in lines],
+        fontsize=7,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=4,
+        frameon=False,
+    )

@@ -4,12 +4,12 @@
     max log p(z^_1:T | u_1:T-1)  over floor, share, the gains G of distance and turn, and R
 
 The states are integrated out by a Kalman filter over each window: an estimate errs by more than one step moves, and
-taken for the truth it would make every step look noisy. No true pose is read. A maze that no evaluation uses teaches the
-transition, as in DVBF-LM.
+taken for the truth it would make every step look noisy. No true pose is read. A maze that no evaluation uses teaches
+the transition, as in DVBF-LM.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -54,12 +54,15 @@ class FittedOdometry(NamedTuple):
 
 
 class _Parameters(eqx.Module):
+    """Hold what Adam moves."""
+
     log_floor: Float[Array, "3"]
     log_share: Float[Array, "3"]
     gain: Float[Array, "2"]  # of distance and turn: (g - 1) / GAIN_SCALE
     log_errors: Float[Array, "2"]
 
     def transition(self) -> CalibratedDrive:
+        """Return the transition of these."""
         along, turn = 1.0 + GAIN_SCALE * self.gain
         floor, share = (tuple(jnp.exp(log)) for log in (self.log_floor, self.log_share))
         return CalibratedDrive(Odometry(floor, share), jnp.diag(jnp.stack([along, along, turn])), jnp.zeros(3))
@@ -126,7 +129,8 @@ def fit_odometry(drives: Drives, updates: int = FIT_UPDATES) -> FittedOdometry:
         updates: of Adam.
     """
     start = _Parameters(
-        *(jnp.log(jnp.array(values)) for values in (FIRST_FLOOR, FIRST_SHARE)),
+        log_floor=jnp.log(jnp.array(FIRST_FLOOR)),
+        log_share=jnp.log(jnp.array(FIRST_SHARE)),
         gain=jnp.zeros(2),
         log_errors=jnp.log(jnp.array(FIRST_ERRORS)),
     )
@@ -152,19 +156,18 @@ def fit_errors(transition: Transition, drives: Drives, updates: int = FIT_UPDATE
 
 def _climb(start: _Parameters, drives: Drives, updates: int) -> _Parameters:
     loss = lambda now: -log_likelihood(now.transition(), jnp.exp(now.log_errors), drives)
-    return _adam(loss, start, updates)  # type: ignore[no-any-return]
+    found: _Parameters = _adam(loss, start, updates)
+    return found
 
 
-def _adam(loss, start, updates):  # type: ignore[no-untyped-def]
+def _adam(loss: Callable[[Any], Array], start: Any, updates: int) -> Any:
+    """Return the parameters after the updates."""
     rule = optax.adam(optax.cosine_decay_schedule(FIT_RATE, updates))
 
-    @jax.jit
-    def run(start):  # type: ignore[no-untyped-def]
-        def update(carry, _):  # type: ignore[no-untyped-def]
-            now, state = carry
-            change, state = rule.update(jax.grad(loss)(now), state)
-            return (optax.apply_updates(now, change), state), None
+    def update(carry: Any, _: None) -> tuple[Any, None]:
+        now, state = carry
+        change, state = rule.update(jax.grad(loss)(now), state)
+        return (optax.apply_updates(now, change), state), None
 
-        return jax.lax.scan(update, (start, rule.init(start)), None, length=updates)[0][0]
-
+    run = jax.jit(lambda start: jax.lax.scan(update, (start, rule.init(start)), None, length=updates)[0][0])
     return run(start)
