@@ -28,8 +28,8 @@ from vssm_gym.model.transition.odometry import Odometry
 FITTED_STEPS = 25  # steps of a window, whose first state is unknown anew
 FIT_UPDATES, FIT_RATE = 250, 0.1  # of Adam, and its rate at first; parameters are logarithms but for the gains
 # m, m, rad, where the fit begins, and shares of the motion
-FIRST_FLOOR, FIRST_SHARE = (1e-3, 1e-3, 1e-2), (0.05, 0.05, 0.05)
-FIRST_ERRORS = (2e-3, 5e-3)  # m, rad, of estimated positions and headings, where the fit begins
+FIT_FLOOR, FIT_SHARE = (1e-3, 1e-3, 1e-2), (0.05, 0.05, 0.05)
+FIT_ERRORS = (2e-3, 5e-3)  # m, rad, of estimated positions and headings, where the fit begins
 GAIN_SCALE = 0.1  # of a gain's deviation from 1, to a unit of the parameter that Adam moves
 
 
@@ -64,8 +64,9 @@ class _Parameters(eqx.Module):
     def transition(self) -> CalibratedDrive:
         """Return the transition of these."""
         along, turn = 1.0 + GAIN_SCALE * self.gain
-        floor, share = (tuple(jnp.exp(log)) for log in (self.log_floor, self.log_share))
-        return CalibratedDrive(Odometry(floor, share), jnp.diag(jnp.stack([along, along, turn])), jnp.zeros(3))
+        stds = [*jnp.exp(self.log_floor), *jnp.exp(self.log_share)]
+        noise = eqx.tree_at(lambda law: [*law.floor, *law.share], Odometry(FIT_FLOOR, FIT_SHARE), stds)
+        return CalibratedDrive(noise, jnp.diag(jnp.stack([along, along, turn])), jnp.zeros(3))
 
 
 def windows_of(motions: Sequence[np.ndarray], poses: Sequence[np.ndarray], steps: int = FITTED_STEPS) -> Drives:
@@ -129,10 +130,10 @@ def fit_odometry(drives: Drives, updates: int = FIT_UPDATES) -> FittedOdometry:
         updates: of Adam.
     """
     start = _Parameters(
-        log_floor=jnp.log(jnp.array(FIRST_FLOOR)),
-        log_share=jnp.log(jnp.array(FIRST_SHARE)),
+        log_floor=jnp.log(jnp.array(FIT_FLOOR)),
+        log_share=jnp.log(jnp.array(FIT_SHARE)),
         gain=jnp.zeros(2),
-        log_errors=jnp.log(jnp.array(FIRST_ERRORS)),
+        log_errors=jnp.log(jnp.array(FIT_ERRORS)),
     )
     found = _climb(start, drives, updates)
     transition, errors = found.transition(), jnp.exp(found.log_errors)
@@ -150,7 +151,7 @@ def fit_errors(transition: Transition, drives: Drives, updates: int = FIT_UPDATE
     Two transitions are compared each with its own.
     """
     loss = lambda log_errors: -log_likelihood(transition, jnp.exp(log_errors), drives)
-    position, heading = np.exp(np.asarray(_adam(loss, jnp.log(jnp.array(FIRST_ERRORS)), updates)))
+    position, heading = np.exp(np.asarray(_adam(loss, jnp.log(jnp.array(FIT_ERRORS)), updates)))
     return float(position), float(heading)
 
 
