@@ -52,7 +52,8 @@ ALLOWED["data.colour_rig"] = BASE | {"data.intrinsics", "envs"}
 ALLOWED["data.dynamics"] = BASE | {"data.trajectories", "data.sequences"}
 ALLOWED["data.handheld"] = ALLOWED["data.wandering"] = BASE | {"envs"}
 ALLOWED["data.laser_logs"] = set(BASE)
-ALLOWED["data.traversals"] = BASE | {"data.laser_logs", "envs"}
+ALLOWED["data.strip_logs"] = BASE | {"data.laser_logs"}
+ALLOWED["data.traversals"] = BASE | {"data.laser_logs", "data.strip_logs", "envs"}
 ALLOWED["data.recording"] = BASE | {
     "data.handheld",
     "data.wandering",
@@ -80,6 +81,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "data.intrinsics",
         "data.sequences",
         "data.laser_logs",
+        "data.strip_logs",
         "data.traversals",
         "data.dynamics",
         "data.recording",

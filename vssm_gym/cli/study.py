@@ -424,3 +424,37 @@ def pose_flow(out: Path, seed: int = 0) -> None:
             say(line)
         say(study.answer)
         say(write_study(study, out))
+
+
+@interruptible()
+def pose_ambiguity(
+    out: Path, maze: str = "serpentine-v1", scans: int = 120, particles: int = 20_000, seed: int = 0
+) -> None:
+    """Localise a robot in a known maze from nowhere, and count the places where it could be after each scan.
+
+    OUT gets pose-ambiguity.json, pose-ambiguity.svg and pose-ambiguity.html: the particles in the map at several times,
+    number of places, entropy, and mass at the true pose (DVBF-LM, fig. 1).
+
+    Args:
+        out: folder for the results.
+        maze: name of a maze.
+        scans: of the drive.
+        particles: of the filter.
+        seed: of the drives and of the filter.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.eval.studies.page import study_folder, write_study
+    from vssm_gym.eval.studies.pose_ambiguity import study as study_pose_ambiguity
+    from vssm_gym.files.output_folders import check_at_least, check_folder
+
+    check_at_least("study", "seed", seed, 0)
+    check_at_least("study", "scans", scans, 2)
+    check_at_least("study", "particles", particles, 10)
+    check_folder(out)
+    with study_folder("pose-ambiguity", out):
+        with progress_bars() as progress:
+            study = study_pose_ambiguity.run(maze, scans, particles, seed, on_progress=progress)
+        for line in _aligned([study.header, *study.lines]):
+            say(line)
+        say(study.answer)
+        say(write_study(study, out))

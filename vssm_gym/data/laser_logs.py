@@ -70,10 +70,15 @@ class LaserLog:
 
     def path(self) -> Float[np.ndarray, "scans 3"]:
         """Return the poses by the odometry alone, from the origin: path integration."""
-        poses = np.zeros((len(self), 3))
-        for t, motion in enumerate(self.motions):
-            poses[t + 1] = compose(poses[t], motion)
-        return poses
+        return integrated(self.motions)
+
+
+def integrated(motions: Float[np.ndarray, "motions 3"]) -> Float[np.ndarray, "motions+1 3"]:
+    """Return the poses that motions (forward, left, turn) lead to one after the other, from the origin on."""
+    poses = np.zeros((len(motions) + 1, 3))
+    for t, motion in enumerate(motions):
+        poses[t + 1] = compose(poses[t], motion)
+    return poses
 
 
 def compose(

@@ -10,15 +10,18 @@ that carries out its commands. Its poses are the true ones, for a judge.
 """
 
 import math
+from typing import Literal, overload
 
 import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.data.laser_logs import LaserLog, relation
+from vssm_gym.data.strip_logs import StripLog
 from vssm_gym.envs.lidar_maze import LONGEST_RANGE, LidarMazeEnv
 from vssm_gym.envs.robots import ExecutionNoise
 from vssm_gym.envs.scenes.free_space import FreeSpace
 from vssm_gym.envs.sensors.lidar import LidarNoise
+from vssm_gym.envs.sensors.maze_strip import StripNoise
 from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.envs.tasks.maze_objectives import TILE, MazeCoverage
 from vssm_gym.envs.tasks.mazes import ROBOT, Maze
@@ -80,6 +83,7 @@ class Operator:
         return [*self._geodesics.path(self._space.nearest(xy), place)[1:]] or [place]
 
 
+@overload
 def traverse(
     maze: Maze,
     steps: int,
@@ -87,42 +91,73 @@ def traverse(
     noise: str | ExecutionNoise = "low",
     sensor_noise: str | LidarNoise = "low",
     beams: int = 64,
-) -> LaserLog:
-    """Log a traversal: a scan before each of ``steps`` commands and one after the last.
+    sensor: Literal["lidar"] = "lidar",
+) -> LaserLog: ...
+
+
+@overload
+def traverse(
+    maze: Maze,
+    steps: int,
+    seed: int = 0,
+    noise: str | ExecutionNoise = "low",
+    sensor_noise: str | StripNoise = "low",
+    beams: int = 64,
+    *,
+    sensor: Literal["camera"],
+) -> StripLog: ...
+
+
+def traverse(
+    maze: Maze,
+    steps: int,
+    seed: int = 0,
+    noise: str | ExecutionNoise = "low",
+    sensor_noise: str | LidarNoise | StripNoise = "low",
+    beams: int = 64,
+    sensor: Literal["lidar", "camera"] = "lidar",
+) -> LaserLog | StripLog:
+    """Log a traversal: a scan or a strip before each of ``steps`` commands and one after the last.
+
+    The drive is the same for both sensors.
 
     Args:
         maze: to drive in.
         steps: commands.
         seed: of the operator and of the noise; it begins at a place of the grid that it draws.
         noise: of the execution.
-        sensor_noise: of the ranges.
-        beams: readings a scan.
+        sensor_noise: of the ranges or pixels.
+        beams: readings a scan, or columns a strip.
+        sensor: ``lidar`` or ``camera``.
 
     Raises:
-        InputError: no steps, or noise that the environment refuses.
+        InputError: no steps, or a sensor or noise that the environment refuses.
     """
     if steps < 1:
         raise InputError("traverse", "steps", f"at least 1, not {steps}")
-    env = LidarMazeEnv(maze.apartment, noise=noise, sensor_noise=sensor_noise, beams=beams)
+    env = LidarMazeEnv(maze.apartment, noise=noise, sensor_noise=sensor_noise, beams=beams, sensor=sensor)
+    key = "strip" if sensor == "camera" else "scan"
     observation, _ = env.reset(seed=seed)
     operator = Operator(maze, seed)
-    scans, poses, motions = [observation["scan"]], [env.planar], []
+    readings, poses, motions = [observation[key]], [env.planar], []
     for _ in range(steps):
         observation, _, _, _, info = env.step(operator(env.planar))
         turn, step = info["control"]
         motions.append((step, 0.0, turn))  # along the heading before the turn
-        scans.append(observation["scan"])
+        readings.append(observation[key])
         poses.append(env.planar)
     env.close()
     angles = 2.0 * np.pi * np.arange(beams) / beams
+    if sensor == "camera":
+        return StripLog(np.concatenate(readings), angles, np.array(motions), np.array(poses))
     none = np.zeros((0, 3))
     return LaserLog(
-        np.array(scans, np.float32), angles, LONGEST_RANGE, np.zeros(3), np.array(motions), np.array(poses),
+        np.array(readings, np.float32), angles, LONGEST_RANGE, np.zeros(3), np.array(motions), np.array(poses),
         np.zeros((0, 2), int), none,
     )  # fmt: skip
 
 
-def errors(log: LaserLog, estimated: Float[np.ndarray, "scans 3"]) -> Float[np.ndarray, "scans"]:
+def errors(log: LaserLog | StripLog, estimated: Float[np.ndarray, "scans 3"]) -> Float[np.ndarray, "scans"]:
     """Return the distance of each estimated position to the log's, m, both seen from the first pose."""
     assert log.poses is not None
     seen = lambda poses: relation(poses[:1], poses)[:, :2]

@@ -1,8 +1,9 @@
-"""Define LidarMaze: a noisy disc with a laser scanner drives through a maze of the unit square.
+"""Define LidarMaze: a noisy disc with a laser scanner, or a camera, drives through a maze of the unit square.
 
 The plane has no physics beyond contact, so no simulator is needed: rays and sliding discs are solved exactly
 (:mod:`vssm_gym.envs.physics.planar`). The robot acts ``(turn, s, stop)`` with seeded execution noise, and observes
-ranges only. The tables of observation, action, reward and termination are in ``docs/envs/lidar_maze.md``.
+ranges only, or one row of pixels all around. The tables of observation, action, reward and termination are in
+``docs/envs/lidar_maze.md``.
 """
 
 import math
@@ -13,17 +14,19 @@ import gymnasium as gym
 import numpy as np
 from PIL import Image, ImageDraw
 
-from vssm_gym.envs.maze_noise import motion_noise, range_noise
+from vssm_gym.envs.maze_noise import motion_noise, range_noise, strip_noise
 from vssm_gym.envs.phased import PhasedEnv
 from vssm_gym.envs.physics.planar import clearance, slide
 from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.rendering.frames import Frames
+from vssm_gym.envs.rendering.maze_paint import painted
 from vssm_gym.envs.rendering.topdown import PLAN_LEGEND, TopDown
 from vssm_gym.envs.robots import ExecutionNoise, execute
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.sensors.base import HasPlanar, Sensor
 from vssm_gym.envs.sensors.lidar import LidarConfig, LidarNoise
 from vssm_gym.envs.sensors.maze_scan import MazeScan
+from vssm_gym.envs.sensors.maze_strip import MazeStrip, StripNoise
 from vssm_gym.envs.sensors.pose import PoseSensor
 from vssm_gym.envs.sensors.suite import SensorSuite
 from vssm_gym.envs.sensors.task_observation import TaskObservation
@@ -48,8 +51,8 @@ class LidarMazeEnv(PhasedEnv):
     Args:
         scene: name of a built-in maze, path of a maze in our JSON format, or an :class:`Apartment` of the unit square.
         noise: execution noise: ``none``, ``low``, ``mid``, ``high`` or an :class:`ExecutionNoise`.
-        sensor_noise: errors of ranges: the same names or a :class:`LidarNoise`.
-        beams: readings in a scan of a full circle.
+        sensor_noise: errors of ranges or of pixels: the same names, or a :class:`LidarNoise` or :class:`StripNoise`.
+        beams: readings in a scan of a full circle, or columns of a strip.
         observe_pose: if True, the observation holds the true pose (an oracle's privilege).
         task: ``navigate`` to a goal, or ``explore``: visit every tile.
         tasks: the tasks that ``reset`` draws from; by default all pairs of the maze's 5 x 5 grid. ``explore`` takes
@@ -59,6 +62,8 @@ class LidarMazeEnv(PhasedEnv):
         reward: ``dense`` (metres gained, a cost a step, a success reward) or ``sparse`` (success).
         render_mode: ``rgb_array``, ``human`` (a window) or None.
         captions: if True, a strip of text lies below each picture; a window always shows it.
+        sensor: ``lidar``, which measures ``scan``, or ``camera``, which sees ``strip``.
+        wall_offset: m that every wall is thicker on each side; below 0 thinner.
     """
 
     parallel = True
@@ -68,7 +73,7 @@ class LidarMazeEnv(PhasedEnv):
         self,
         scene: str | Path | Apartment = "rooms-v1",
         noise: str | ExecutionNoise = "low",
-        sensor_noise: str | LidarNoise = "none",
+        sensor_noise: str | LidarNoise | StripNoise = "none",
         beams: int = 64,
         observe_pose: bool = False,
         task: Literal["navigate", "explore"] = "navigate",
@@ -77,7 +82,10 @@ class LidarMazeEnv(PhasedEnv):
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
         captions: bool = False,
+        sensor: Literal["lidar", "camera"] = "lidar",
+        wall_offset: float = 0.0,
     ) -> None:
+        choose("LidarMaze", "sensor", sensor, ("lidar", "camera"))
         choose("LidarMaze", "task", task, ("navigate", "explore"))
         choose("LidarMaze", "end_on", end_on, ("stop", "reach"))
         choose("LidarMaze", "reward", reward, ("dense", "sparse"))
@@ -86,7 +94,7 @@ class LidarMazeEnv(PhasedEnv):
         self.noise = motion_noise(noise)
         self.frames, self.render_mode = Frames("LidarMaze", render_mode, captions), render_mode
         self.end_on, self.reward = end_on, reward
-        self.maze = load_maze(scene)
+        self.maze = load_maze(scene, wall_offset)
         self.robot, self.beams = ROBOT, beams
         self.success_radius = SUCCESS * self.robot.body_length
         self.tasks = self.maze.tasks if tasks is None else checked_set("LidarMaze", tasks, self.maze.apartment)
@@ -99,8 +107,8 @@ class LidarMazeEnv(PhasedEnv):
         self.action_space = gym.spaces.Box(
             np.array([-turn, 0.0, 0.0], np.float32), np.array([turn, step, 1.0], np.float32)
         )
-        scanner = LidarConfig(beams=beams, max_range=LONGEST_RANGE, noise=range_noise(sensor_noise))
-        sensors: list[Sensor[HasPlanar]] = [MazeScan(scanner, self.maze.rectangles)]
+        self.sensor = sensor
+        sensors: list[Sensor[HasPlanar]] = [self._eye(sensor_noise)]
         if task == "navigate":
             sensors.append(TaskObservation("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
         if observe_pose:
@@ -172,15 +180,17 @@ class LidarMazeEnv(PhasedEnv):
             self._plan = TopDown(self.maze.apartment.boxes(), MAZE_PICTURE, MAZE_PICTURE, margin=0.02)
         goal = np.asarray(self.task.goal) if isinstance(self.objective, Approach) else None
         picture = self._plan.draw(np.array(self._path), self.planar, self.robot.radius, goal, self.success_radius)
+        image = Image.fromarray(picture)
+        legend = {name: colour for name, colour in PLAN_LEGEND.items() if name != "goal" or goal is not None}
+        if self.sensor == "camera":
+            return [Panel(np.asarray(image), "plan", legend)]
         self.sense()
         ranges = self.sensors.reading("scan")
         angle = self.planar[2] + 2.0 * np.pi * np.arange(self.beams) / self.beams
         ends = self.planar[:2] + ranges[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        image = Image.fromarray(picture)
         pen = ImageDraw.Draw(image)
         for column, row in self._plan.pixels(ends[ranges > 0.0]):
             pen.ellipse((column - 2.0, row - 2.0, column + 2.0, row + 2.0), fill=_RAY)
-        legend = {name: colour for name, colour in PLAN_LEGEND.items() if name != "goal" or goal is not None}
         return [Panel(np.asarray(image), "plan", legend | {"scan": _RAY})]
 
     def captions(self) -> list[Caption]:
@@ -189,6 +199,14 @@ class LidarMazeEnv(PhasedEnv):
         if isinstance(self.objective, MazeCoverage):
             return [Caption("coverage", f"{self.objective.ratio:.1%}")]
         return [Caption("goal", f"{math.hypot(*(self.planar[:2] - self.task.goal)):.2f} m")]
+
+    def _eye(self, noise: Any) -> MazeScan | MazeStrip:
+        """Return the scanner, or the camera among painted walls."""
+        if self.sensor == "camera":
+            boxes = painted(self.maze.apartment.boxes(), self.maze.name)
+            return MazeStrip(self.beams, boxes, self.robot.camera_height, strip_noise(noise))
+        scanner = LidarConfig(beams=self.beams, max_range=LONGEST_RANGE, noise=range_noise(noise))
+        return MazeScan(scanner, self.maze.rectangles)
 
     def _goal(self) -> np.ndarray:
         """Return the goal, as observed."""

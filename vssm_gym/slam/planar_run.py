@@ -16,6 +16,7 @@ from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.maps.planar_map import PlanarMap
 from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition import planar_belief
+from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.odometry import Odometry
 from vssm_gym.progress import OnProgress
 
@@ -50,6 +51,7 @@ def run_scans(
     max_range: float | None = None,
     config: PlanarConfig | None = None,
     on_progress: OnProgress | None = None,
+    transition: Transition | None = None,
 ) -> PlanarRun:
     """Track and map a log, scan by scan; its poses and loops are not read.
 
@@ -59,6 +61,7 @@ def run_scans(
         max_range: m; farther readings are left out; None: those of the log.
         config: of the filter; None: the default.
         on_progress: called with ("tracking and mapping", scans done, scans).
+        transition: of the robot, whose controls are the log's motions; None: an odometry with the errors above.
 
     Raises:
         InputError: a range that is not above 0, a log of one scan, or a map with too many cells.
@@ -75,7 +78,8 @@ def run_scans(
     m = PlanarMap.prior(path.min(axis=0) - margin, path.max(axis=0) + margin, cell_size)
     scanner = Scanner(jnp.asarray(log.angles, jnp.float32), jnp.asarray(log.mount, jnp.float32), jnp.float32(longest))
     floor = (FLOOR_CELLS * cell_size, FLOOR_CELLS * cell_size, FLOOR_TURN)
-    prism = PlanarPrism(scanner, Odometry(floor, SHARES), config or PlanarConfig())
+    moves = Odometry(floor, SHARES) if transition is None else transition
+    prism = PlanarPrism(scanner, moves, config or PlanarConfig())
     belief = planar_belief(jnp.zeros(3), STARTS_WITHIN**2 * jnp.eye(3))
     state = prism.init(belief, m, jnp.asarray(ranges[0]))
     # The last part is filled up with scans without readings, which change no map: all parts have one compilation
@@ -98,7 +102,7 @@ def run_scans(
 
 @partial(jax.jit, static_argnames="config", donate_argnames="state")
 def _steps(
-    scanner: Scanner, transition: Odometry, config: PlanarConfig, state: PlanarState, motions: Array, ranges: Array
+    scanner: Scanner, transition: Transition, config: PlanarConfig, state: PlanarState, motions: Array, ranges: Array
 ) -> tuple[PlanarState, tuple[Array, Array, Array]]:
     """Return the state after several scans, and pose, covariance and share of used readings of each."""
     prism = PlanarPrism(scanner, transition, config)

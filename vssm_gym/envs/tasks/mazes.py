@@ -20,6 +20,7 @@ from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.apartment_parts import ROUNDING
 from vssm_gym.envs.scenes.free_space import STEP_HEIGHT, FreeSpace
 from vssm_gym.envs.scenes.scene import ASSETS, Apartment, load_scene
+from vssm_gym.envs.scenes.wall_offset import with_wall_offset
 from vssm_gym.envs.tasks.navigation import Footprint, Split, Task, TaskSampler, TaskSet, load, save
 from vssm_gym.errors import InputError
 
@@ -72,18 +73,23 @@ class Maze:
         return grid_tasks(self)
 
 
-def load_maze(spec: str | Path | Apartment) -> Maze:
+def load_maze(spec: str | Path | Apartment, wall_offset: float = 0.0) -> Maze:
     """Return the maze of a built-in name ("spiral-v1"), of a JSON file in our format, or of an :class:`Apartment`.
+
+    Args:
+        spec: name, path or apartment.
+        wall_offset: m that every surface moves outwards; corridors are narrower by twice as much, and wider below 0.
+            Another name then belongs to the maze ("spiral-v1+10mm"), and its tasks are made anew.
 
     Raises:
         InputError: what :func:`load_scene` refuses; a floor beyond the unit square or open at its border; walls that do
-            not stand on the floor; free space in several parts, or none.
+            not stand on the floor; free space in several parts, or none; what :func:`with_wall_offset` refuses.
     """
     if not isinstance(spec, str | Path | Apartment):
         raise InputError(f"{spec!r:.80}", "scene", "a maze's name, the path of a JSON file or an Apartment")
     if isinstance(spec, str) and spec not in MAZES and not Path(spec).is_file():
         raise InputError(spec, "scene", f"a maze ({', '.join(MAZES)}) or the path of an existing JSON file")
-    apartment = load_scene(FOLDER / f"{spec}.json" if spec in MAZES else spec)
+    apartment = with_wall_offset(load_scene(FOLDER / f"{spec}.json" if spec in MAZES else spec), wall_offset)
     floor = _floor(apartment)
     if not is_maze(apartment):
         west, south, east, north = floor.bounds
@@ -114,7 +120,7 @@ def grid_tasks(maze: Maze) -> TaskSet:
     Raises:
         InputError: fewer than two of the 25 positions are free.
     """
-    split: Split = "train" if maze.name == MAZES[0] else "test"
+    split: Split = "train" if maze.name.startswith(MAZES[0]) else "test"  # with any wall offset
     centres = (np.arange(GRID_SIDE) + 0.5) / GRID_SIDE
     places = [(x, y) for y in centres.round(4).tolist() for x in centres.round(4).tolist()]
     free = [place for place in places if maze.space.contains(np.array(place))]
