@@ -21,11 +21,11 @@ class LatentConfig:
             chunks: a chart that was written a moment ago errs as the pose does, and would hold it back.
     """
 
-    latents: int = 32
+    latents: int = 48
     particles: int = 200
     reading_std: float = 0.16
     counted: float = 0.05
-    counted_map: float = 0.2
+    counted_map: float = 1.0
     slope: float = 1.0
     huber: float = 2.0
     chunk: int = 20
