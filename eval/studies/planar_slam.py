@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vssm_gym.data.laser_logs import LaserLog, relation
@@ -10,11 +11,18 @@ from vssm_gym.data.traversals import errors
 from vssm_gym.eval.studies.page import Study
 from vssm_gym.eval.studies.scan_graph.run import run_scan_graph
 from vssm_gym.progress import OnProgress
+from vssm_gym.slam.latent_run import LatentRun, run_latent
 from vssm_gym.slam.planar_run import PlanarRun, loop_errors, run_scans
 from vssm_gym.viz.pictures import svg
 
 INTEGRATED, SLAM, GRAPH = "path integration", "PRISM in the plane", "scan matching, pose graph"
+LATENT = "latent grid"
+LATENT_CELL = 6.25  # cells of the occupancy map, of the latent grid's: a chart holds what is around it
 HEADER = ("method", "error at the end, m", "mean error, m", "loops: mean, m", "median, m", "turn, deg", "scans/s")
+OF_THE_CHARTS = (
+    "The latent grid's picture shows where its charts have surfaces: a point for each bearing of each chart that was "
+    "observed, darker where the chart knows more."
+)
 OF_THE_GRAPH = (
     "The pose graph's path is that after its last optimisation: unlike the filter's, its poses know later scans."
 )
@@ -27,8 +35,9 @@ def run(
     max_range: float | None = None,
     on_progress: OnProgress | None = None,
     baseline: bool = False,
-) -> tuple[Study, PlanarRun]:
-    """Track and map a log, and compare with its odometry alone, and with scan matching and a pose graph.
+    latent_passes: int | None = None,
+) -> tuple[Study, PlanarRun, LatentRun | None]:
+    """Track and map a log, and compare with its odometry alone, a latent grid, and scan matching with a pose graph.
 
     Args:
         name: of the log, for the page.
@@ -37,9 +46,10 @@ def run(
         max_range: m; farther readings are left out; None: those of the log.
         on_progress: called after every hundred scans.
         baseline: whether to run the pose graph too.
+        latent_passes: off-line passes of the latent grid after its on-line one; None: it is not run.
 
     Returns:
-        The outcome for a page, and the run itself.
+        The outcome for a page, the run itself, and that of the latent grid.
 
     Raises:
         InputError: as :func:`run_scans` does, or GTSAM, which the baseline needs, is not installed.
@@ -47,11 +57,18 @@ def run(
     classical = run_scan_graph(log, cell_size, max_range, on_progress) if baseline else None  # it may be missing
     found = run_scans(log, cell_size, max_range, on_progress=on_progress)
     estimates = {INTEGRATED: log.path(), SLAM: found.poses}
+    latent = None
+    if latent_passes is not None:
+        latent = run_latent(log, LATENT_CELL * cell_size, max_range, latent_passes, on_progress=on_progress)
+        estimates[LATENT] = latent.poses
     if classical:
         estimates[GRAPH] = classical.poses
     figures: dict[str, dict[str, Any]] = {method: _judged(log, poses) for method, poses in estimates.items()}
     if classical:
         figures[GRAPH] |= {"scans_per_second": len(log) / classical.seconds, "loops_closed": classical.loops}
+    if latent:
+        speed = len(log) * len(latent.log_evidence) / latent.seconds
+        figures[LATENT] |= {"scans_per_second": speed, "log_evidence": latent.log_evidence}
     figures[SLAM] |= {"scans_per_second": len(log) / found.seconds, "used": float(found.used[1:].mean())}
     study = Study(
         name="slam2d",
@@ -59,17 +76,24 @@ def run(
         answer=_answer(figures, len(log)),
         header=HEADER,
         lines=[_line(method, figures[method]) for method in estimates],
-        picture=_picture(log, found, estimates),
-        setting={"log": name, "scans": len(log), "cell_size": cell_size, "max_range": max_range},
+        picture=_picture(log, found, latent, estimates),
+        setting={
+            "log": name,
+            "scans": len(log),
+            "cell_size": cell_size,
+            "max_range": max_range,
+            "latent_passes": latent_passes,
+        },
         figures=figures,
         notes=(
             "The method reads scans and odometry. Errors are distances from the poses of the log, both seen from the "
             "first; in a simulation those are the true ones, in a recording what others have found. Loops are pairs "
             "of scans whose relation the log knows: the difference of the estimated relation from it.",
             *([OF_THE_GRAPH] if classical else []),
+            *([OF_THE_CHARTS] if latent else []),
         ),
     )
-    return study, found
+    return study, found, latent
 
 
 def _judged(log: LaserLog, poses: np.ndarray) -> dict[str, Any]:
@@ -108,11 +132,11 @@ def _answer(figures: dict[str, dict[str, Any]], scans: int) -> str:
     return " ".join(said)
 
 
-def _picture(log: LaserLog, found: PlanarRun, estimates: dict[str, np.ndarray]) -> bytes:
-    """Draw the map, both paths, and that of the log."""
-    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
-    axes = figure.subplots()
-    m = found.m
+def _picture(log: LaserLog, found: PlanarRun, latent: LatentRun | None, estimates: dict[str, np.ndarray]) -> bytes:
+    """Draw the map, all paths and that of the log, and beside them the decoded latent map."""
+    figure = Figure(figsize=(14.0 if latent else 7.0, 7.0), layout="constrained")
+    panels = figure.subplots(1, 2 if latent else 1, squeeze=False)[0]
+    axes, m = panels[0], found.m
     occupied = np.where(m.observed, np.where(np.asarray(m.occupancy) > 0.0, 1.0, 0.15), 0.5)
     low, cell = np.asarray(m.origin), float(m.cell_size)
     high = low + cell * (np.array(occupied.shape) - 1)
@@ -123,8 +147,26 @@ def _picture(log: LaserLog, found: PlanarRun, estimates: dict[str, np.ndarray]) 
     if GRAPH in estimates:
         axes.plot(*estimates[GRAPH][:, :2].T, color="tab:red", lw=0.8, label=GRAPH)
     axes.plot(*found.poses[:, :2].T, color="tab:blue", lw=0.8, label=SLAM)
+    if latent:
+        _draw_charts(panels[1], latent)
+        panels[1].plot(*latent.poses[:, :2].T, color="tab:purple", lw=0.8, label=LATENT)
     seen = np.argwhere(m.observed)
     first, last = low + cell * seen.min(axis=0), low + cell * seen.max(axis=0)
-    axes.set(xlim=(first[0], last[0]), ylim=(first[1], last[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
-    axes.legend(loc="upper left", fontsize=8)
+    for axes in panels:
+        axes.set(xlim=(first[0], last[0]), ylim=(first[1], last[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
+        axes.legend(loc="upper left", fontsize=8)
     return svg(figure)
+
+
+def _draw_charts(axes: Axes, latent: LatentRun) -> None:
+    """Draw a point where each observed chart has a surface, darker where it knows more."""
+    m = latent.model.m
+    known = m.observed
+    chart, spread = np.asarray(m.chart)[known], np.asarray(m.spread)[known]
+    bearing = 2.0 * np.pi * np.arange(chart.shape[-1]) / chart.shape[-1]
+    ends = np.asarray(m.centres())[known][:, None] + chart[..., None] * np.stack([np.cos(bearing), np.sin(bearing)], -1)
+    share = np.clip(1.0 - spread / np.asarray(m.decoder.prior_std), 0.0, 1.0) * (
+        chart < float(latent.model.scanner.max_range)
+    )
+    x, y = ends.reshape(-1, 2).T
+    axes.scatter(x, y, s=1.0, c="black", alpha=0.3 * share.ravel(), linewidths=0.0, rasterized=True)

@@ -51,12 +51,24 @@ def test_a_log_is_judged_by_its_loops(tmp_path, capsys):
     assert "Over 2 loops" in capsys.readouterr().out
 
 
+def test_a_latent_grid_beside_it(tmp_path):
+    """A part of a drive, on line and in one more pass; the charts are drawn beside the occupancy."""
+    slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1, scans="0:90", latent=True, passes=1)
+    assert len(np.loadtxt(tmp_path / "out" / "trajectory_latent.txt")) == 90
+    found = json.loads((tmp_path / "out" / "slam2d.json").read_text())["figures"]
+    assert found["latent grid"]["end"] < 1.2 * found["path integration"]["end"] + 0.005
+    assert len(found["latent grid"]["log_evidence"]) == 2
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"log": "no.log"}, "file: expected a laser log"),
         ({"log": "pillars-v1", "cell": 0.0}, "cell: expected above 0 m"),
         ({"log": "pillars-v1", "steps": 0}, "steps"),
+        ({"log": "pillars-v1", "passes": 1}, "passes: expected 0 without --latent"),
+        ({"log": "pillars-v1", "steps": 9, "scans": "4:11"}, "scans: expected FIRST:LAST"),
+        ({"log": "pillars-v1", "steps": 9, "scans": "all"}, "scans: expected FIRST:LAST"),
         ({"log": "pillars-v1", "noise": "loud", "steps": 5}, "noise"),
     ],
 )

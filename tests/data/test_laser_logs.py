@@ -139,3 +139,13 @@ def test_what_is_no_text_is_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(InputError, match="file: expected"):
         read_laser_log(path)
+
+
+def test_a_part_has_the_loops_within_it():
+    log = random_log(3, 12, 4, judged=True)
+    part = log.part(2, 9)
+    assert len(part) == 7 and len(part.motions) == 6
+    np.testing.assert_array_equal(part.ranges, log.ranges[2:9])
+    within = [i for i, (a, b) in enumerate(log.loops.tolist()) if 2 <= a < 9 and 2 <= b < 9]
+    np.testing.assert_array_equal(part.loops + 2, log.loops[within])
+    np.testing.assert_array_equal(part.relations, log.relations[within])

@@ -162,6 +162,9 @@ def slam2d(
     sensor_noise: str = "low",
     seed: int = 0,
     baseline: bool = False,
+    latent: bool = False,
+    passes: int = 0,
+    scans: str | None = None,
 ) -> None:
     """Find the path of a robot with a laser scanner, and the map of its plane.
 
@@ -180,6 +183,9 @@ def slam2d(
         sensor_noise: of its ranges: none, low, mid or high.
         seed: of the drive.
         baseline: compare with scan matching and a pose graph, which GTSAM optimises (pip install gtsam).
+        latent: compare with a latent grid (DVBF-LM); OUT gets its poses as trajectory_latent.txt.
+        passes: off-line passes of the latent grid after its on-line one.
+        scans: FIRST:LAST, to run on a part of the log.
     """
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.data.laser_logs import read_laser_log
@@ -193,21 +199,41 @@ def slam2d(
 
     check_at_least("slam2d", "seed", seed, 0)
     check_at_least("slam2d", "steps", steps, 1)
+    check_at_least("slam2d", "passes", passes, 0)
+    if passes and not latent:
+        raise InputError("slam2d", "passes", "0 without --latent: the occupancy map has one pass")
     if not cell > 0.0:
         raise InputError("slam2d", "cell", f"above 0 m, not {cell:g}")
     check_folder(out)
     if log in MAZES:
-        scans, size = traverse(load_maze(log), steps, seed, noise, sensor_noise), 0.1 * cell
+        drive, size = traverse(load_maze(log), steps, seed, noise, sensor_noise), 0.1 * cell
     else:
-        scans, size = read_laser_log(Path(log)), cell
+        drive, size = read_laser_log(Path(log)), cell
+    if scans is not None:
+        drive = drive.part(*_part(scans, len(drive)))
     with study_folder("slam2d", out):
         with progress_bars() as progress:
-            study, run = planar_slam.run(Path(log).name, scans, size, max_range, progress, baseline=baseline)
-        with atomic_write(out / "trajectory.txt") as temporary, temporary.open("w") as file:
-            file.write("# x y heading\n")
-            file.writelines(f"{x:.6f} {y:.6f} {heading:.6f}\n" for x, y, heading in run.poses)
+            study, run, charts = planar_slam.run(
+                Path(log).name, drive, size, max_range, progress, baseline, passes if latent else None
+            )
+        estimates = {"trajectory.txt": run.poses} | ({"trajectory_latent.txt": charts.poses} if charts else {})
+        for name, poses in estimates.items():
+            with atomic_write(out / name) as temporary, temporary.open("w") as file:
+                file.write("# x y heading\n")
+                file.writelines(f"{x:.6f} {y:.6f} {heading:.6f}\n" for x, y, heading in poses)
         page = write_study(study, out)
     say(study.answer, page)
+
+
+def _part(scans: str, length: int) -> tuple[int, int]:
+    """Return first scan and end of FIRST:LAST."""
+    from vssm_gym.errors import InputError
+
+    first, colon, last = scans.partition(":")
+    expected = f"FIRST:LAST with 0 <= FIRST < LAST <= {length}, not {scans!r}"
+    if not (colon and first.isdecimal() and last.isdecimal() and int(first) + 1 < int(last) <= length):
+        raise InputError("slam2d", "scans", expected)
+    return int(first), int(last)
 
 
 @contextlib.contextmanager

@@ -72,6 +72,14 @@ class LaserLog:
         """Return the poses by the odometry alone, from the origin: path integration."""
         return integrated(self.motions)
 
+    def part(self, first: int, last: int) -> "LaserLog":
+        """Return the scans from ``first`` to before ``last``, and the loops among them."""
+        within = np.all((self.loops >= first) & (self.loops < last), axis=1)
+        poses = None if self.poses is None else self.poses[first:last]
+        scans, motions = self.ranges[first:last], self.motions[first : last - 1]
+        found = self.loops[within] - first, self.relations[within]
+        return LaserLog(scans, self.angles, self.max_range, self.mount, motions, poses, *found)
+
 
 def integrated(motions: Float[np.ndarray, "motions 3"]) -> Float[np.ndarray, "motions+1 3"]:
     """Return the poses that motions (forward, left, turn) lead to one after the other, from the origin on."""
