@@ -1,0 +1,101 @@
+"""Learn the model of a maze's scans that agents are given, from a scripted traversal; keep it in a sweep's folder.
+
+The traversal begins at a known pose, and its map is seen from there: that one pose puts it into the maze's frame. The
+others are PRISM's estimates (eq. I73) from scans and odometry.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from vssm_gym.data.traversals import traverse
+from vssm_gym.envs.tasks.mazes import load_maze
+from vssm_gym.errors import InputError
+from vssm_gym.files.atomic import atomic_write
+from vssm_gym.files.bounded import open_file
+from vssm_gym.files.npz_file import open_npz
+from vssm_gym.files.output_folders import ADVICE
+from vssm_gym.maps.planar_map import PlanarMap
+from vssm_gym.model.placed_scans import PlacedScans
+from vssm_gym.model.scan_emission import OccupancyScans
+from vssm_gym.model.scan_model import ScanModel
+from vssm_gym.model.scanner import Scanner
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam.planar_run import run_scans
+from vssm_gym.version import package_version
+
+TRAVERSAL_STEPS = 3000  # commands: they visit 95 % of the tiles or more
+MAZE_CELL = 0.01  # m, of the map
+MAZE_NOISE = "low"  # of the traversal's motion and ranges
+READING_SCALE, READING_SHARE = 0.01, 0.2  # m, and share of the beams that count: map and sensor err together
+MAZE_MAP_BYTES = 400_000_000  # of all arrays unpacked
+_ARRAYS = ("occupancy", "precision", "origin", "cell_size", "frame", "angles", "max_range")
+
+
+def ensure_map(scene: str, folder: Path, *, seed: int, on_progress: OnProgress | None = None, **_: Any) -> Path:
+    """Return the file of a maze's learned model, ``folder/maps/NAME.npz``; drive through the maze and make it if needed.
+
+    Args:
+        scene: a maze's name or file.
+        folder: of a sweep.
+        seed: of the traversal.
+        on_progress: called after every part of the map.
+
+    Raises:
+        InputError: a file of another origin at its place.
+    """
+    maze = load_maze(scene)
+    path = folder / "maps" / f"{maze.name}.npz"
+    origin = {"scene_hash": maze.apartment.content_hash(), "seed": seed, "steps": TRAVERSAL_STEPS, "noise": MAZE_NOISE}
+    if path.exists():
+        found = _read(path)[1]
+        for name, value in origin.items():
+            if found.get(name) != value:
+                raise InputError(path, name, f"a map with {value}; found {found.get(name)} ({ADVICE})")
+        return path
+    log = traverse(maze, TRAVERSAL_STEPS, seed, MAZE_NOISE, MAZE_NOISE)
+    m = run_scans(log, MAZE_CELL, on_progress=on_progress).m
+    assert log.poses is not None
+    arrays = {
+        **{name: np.asarray(getattr(m, name), np.float32) for name in _ARRAYS[:4]},
+        "frame": log.poses[0].astype(np.float32),  # where the drive is known to begin; no other true pose is read
+        "angles": log.angles.astype(np.float32),
+        "max_range": np.float32(log.max_range),
+    }
+    header = np.frombuffer(json.dumps(origin | {"package_version": package_version()}).encode(), np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, header=header, **arrays)
+    return path
+
+
+def load_map(path: Path) -> ScanModel:
+    """Return the model of a file, in the maze's frame.
+
+    Raises:
+        InputError: a missing or damaged file.
+    """
+    arrays, _ = _read(path)
+    m = PlanarMap(*(jnp.asarray(arrays[name]) for name in _ARRAYS[:4]))
+    scanner = Scanner(jnp.asarray(arrays["angles"]), jnp.zeros(3), jnp.asarray(arrays["max_range"]))
+    return PlacedScans(OccupancyScans(m, scanner, READING_SCALE, READING_SHARE), jnp.asarray(arrays["frame"]))
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    expected = "a whole file of a maze's learned model"
+    with open_file(path) as file, open_npz(file, path, MAZE_MAP_BYTES, expected) as stored:
+        arrays = {name: stored.read(name) for name in _ARRAYS}
+        header = stored.read_json("header", path)
+    shapes = {"precision": arrays["occupancy"].shape, "origin": (2,), "cell_size": (), "frame": (3,), "max_range": ()}
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise InputError(path, name, f"an array of shape {shape}; found {arrays[name].shape}")
+    for name, array in arrays.items():
+        if array.dtype != np.float32 or not np.isfinite(array).all():
+            raise InputError(path, name, f"finite float32; found {array.dtype}")
+    if arrays["occupancy"].ndim != 2 or arrays["angles"].ndim != 1 or not isinstance(header, dict):
+        raise InputError(path, "file", expected)
+    return arrays, header
