@@ -49,7 +49,7 @@ class ScanNavigation:
     steps: int = 3
     goal_radius: float = 0.012
     particles: int = 64
-    arrived: float = 0.3
+    arrived: float = 0.15
     off: float = 0.012
     look: float = 0.025
     faced: float = math.radians(20.0)
