@@ -13,6 +13,7 @@ import numpy as np
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import DirectionFrame
 from vssm_gym.geometry.car import Car
+from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.transition.base import Transition
@@ -48,6 +49,7 @@ class AgentContext:
         stops: of a car, True where its action ends with a stop, at which success is evaluated (CarNav-v1), and False
             where the episode ends on arrival (CarNav-v0). The action of another robot always has a stop.
         scan_model: the learned model of a laser scanner's scans; None for an agent that needs none.
+        scan_encoder: ``q(z | x)`` of that model; None for an agent whose goals are no scans.
     """
 
     K: np.ndarray
@@ -65,6 +67,7 @@ class AgentContext:
     direction_frame: DirectionFrame = "body"
     stops: bool = False
     scan_model: ScanModel | None = None
+    scan_encoder: ScanEncoder | None = None
 
 
 @dataclass(frozen=True)

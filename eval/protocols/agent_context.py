@@ -13,6 +13,7 @@ from vssm_gym.envs.robots.car_noise import CarNoise
 from vssm_gym.envs.robots.differential import DifferentialExecutionNoise, DifferentialRobot
 from vssm_gym.eval.protocols.car_model_error import car_model_error
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
+from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.transition import BiasedNoise, Bicycle, MotionNoise, Planar, Transition
@@ -81,6 +82,7 @@ def context_of(
     limits: np.ndarray | None = None,
     stops: bool = False,
     scan_model: ScanModel | None = None,
+    scan_encoder: ScanEncoder | None = None,
 ) -> AgentContext:
     """Build the context of a robot.
 
@@ -96,6 +98,7 @@ def context_of(
         limits: largest commands, where they are not all of the body's limits.
         stops: of a car, True where the episode ends on its stop.
         scan_model: the learned model of scans, None for an agent that needs none.
+        scan_encoder: of that model, None for an agent whose goals are no scans.
     """
     return AgentContext(
         K=np.eye(3) if K is None else np.array(K),
@@ -113,6 +116,7 @@ def context_of(
         direction_frame=getattr(body, "direction_frame", "body"),  # the holonomic robot has it
         stops=stops,
         scan_model=scan_model,
+        scan_encoder=scan_encoder,
     )
 
 
@@ -152,6 +156,7 @@ def context_in(
     noise: KnownNoise,
     limits: np.ndarray | None = None,
     scan_model: ScanModel | None = None,
+    scan_encoder: ScanEncoder | None = None,
 ) -> AgentContext:
     """Build the context of a round robot in a world that was just reset; ``info`` is that of the reset."""
     return context_of(
@@ -165,4 +170,5 @@ def context_in(
         K=info.get("K"),
         limits=limits,
         scan_model=scan_model,
+        scan_encoder=scan_encoder,
     )

@@ -1,4 +1,4 @@
-"""Predict the scans of a maze exactly: the true map, for the bound of a planner, behind the contract of learned ones."""
+"""Predict the scans of a maze exactly: the true map behind the contract of learned ones, for the bound of a planner."""
 
 import equinox as eqx
 import jax

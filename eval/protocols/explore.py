@@ -18,7 +18,17 @@ from vssm_gym.eval.episodes.identity import Episode, ExploreSettings, episode_se
 from vssm_gym.eval.protocols import pointnav
 from vssm_gym.eval.protocols.episode import run_episode as run_navigation
 from vssm_gym.eval.protocols.explore_episode import Spectator, map_of, run_episode
-from vssm_gym.eval.protocols.shared import conditions, ensure_map, load, load_map, notice, sampler_of, scene_names, tasks_in, world
+from vssm_gym.eval.protocols.shared import (
+    conditions,
+    ensure_map,
+    load,
+    load_map,
+    notice,
+    sampler_of,
+    scene_names,
+    tasks_in,
+    world,
+)
 from vssm_gym.maps.voxel_map import VoxelMap
 
 __all__ = ["conditions", "ensure_map", "load", "load_map", "navigate", "notice", "run", "scene_names", "write_tasks"]

@@ -20,7 +20,7 @@ from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.protocols.agent_context import SCANNER_COMMANDS
 from vssm_gym.eval.protocols.episode import run_episode
 from vssm_gym.eval.protocols.exact_scans import ExactScans
-from vssm_gym.eval.protocols.maze_map import ensure_map, load_map
+from vssm_gym.eval.protocols.maze_map import LearnedMaze, ensure_map, load_map
 from vssm_gym.eval.protocols.shared import keep_or_write, made, tasks_in
 from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.scanner import Scanner
@@ -56,11 +56,16 @@ def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     keep_or_write(apartment, n, path, navigation.load, partial(_first, apartment, n), navigation.save)
 
 
-def run(episode: Episode, agent: Agent, task_file: Path, learned: ScanModel | None) -> dict[str, Any]:
+def run(episode: Episode, agent: Agent, task_file: Path, learned: LearnedMaze | None) -> dict[str, Any]:
     """Run one episode and return the measured fields of its row; a bound is given the true map."""
     c, tasks = episode.condition, tasks_in(task_file, TaskSet)
+    by_scan = getattr(agent, "goal_by_scan", False)
+    shown = {"observe_pose": agent.needs_pose, "goal": "scan" if by_scan else "position"}
+    model: ScanModel | None = None if learned is None else learned.model
+    if getattr(agent, "needs_true_map", False):
+        model = _true_map(c.scene)
     return run_episode(
-        made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, observe_pose=agent.needs_pose),
+        made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, **shown),
         _maze(c.scene).sampler,
         agent,
         tasks.tasks[episode.task],
@@ -68,7 +73,8 @@ def run(episode: Episode, agent: Agent, task_file: Path, learned: ScanModel | No
         voxel_map=None,
         noise=MOTION_NOISE[c.noise],
         limits=ROBOT.limits[list(SCANNER_COMMANDS)],
-        scan_model=_true_map(c.scene) if getattr(agent, "needs_true_map", False) else learned,
+        scan_model=model,
+        scan_encoder=learned.encoder if by_scan and learned is not None else None,
     )
 
 

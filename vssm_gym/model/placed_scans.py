@@ -1,4 +1,4 @@
-"""Put a scan model into another frame: a map is seen from where its traversal began, and goals from the world's origin."""
+"""Put a scan model into another frame: a map is seen from where its traversal began, a goal from the world's origin."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -68,9 +68,7 @@ class Tree(NamedTuple):
     curve: np.ndarray  # (5, 2) lengths (m) and steerings of the curve to the goal
 
 
-def empty_tree(
-    low: Float[np.ndarray, "2"], extent: Float[np.ndarray, "2"], cell: float, headings: int
-) -> Tree:
+def empty_tree(low: Float[np.ndarray, "2"], extent: Float[np.ndarray, "2"], cell: float, headings: int) -> Tree:
     """Return a tree without nodes over a rectangle of the plane.
 
     Args:

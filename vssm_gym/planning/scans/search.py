@@ -30,7 +30,7 @@ class Edges(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _corner(table, x, y):
-    """Return the numbers of the lower corner of a place and where between it and the next the place lies; -1: outside."""
+    """Return the numbers of the lower corner of a place, and its shares of the way to the next; -1: outside."""
     nx, ny = table.clearance.shape
     u, v = (x - table.x) / table.spacing, (y - table.y) / table.spacing
     if not (0.0 <= u <= nx - 1 and 0.0 <= v <= ny - 1):

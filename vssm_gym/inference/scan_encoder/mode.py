@@ -1,0 +1,58 @@
+"""``argmax_z log p(x | z, M) + log p(z)`` of one scan, from the modes of the encoder on (eq. P49).
+
+The encoder proposes; the model says how well each proposal explains the scan; the best are scattered ever more closely.
+Every round has one static shape, and a model need not be differentiable.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from vssm_gym.geometry.transforms import wrap_angle
+from vssm_gym.inference.scan_encoder.network import ScanEncoder
+from vssm_gym.model.scan_model import ScanModel
+
+PROPOSALS = 192  # poses of a round
+KEPT = 16  # best of them, about which the next round scatters
+SCATTER = (0.02, 0.01, 0.005, 0.0025)  # m, and ten times as many rad, of each round
+
+
+def pose_of(
+    encoder: ScanEncoder, model: ScanModel, ranges: Float[np.ndarray, "beams"], seed: int
+) -> tuple[Float[np.ndarray, "3"], float]:
+    """Return the pose that explains a scan best, x, y (m), heading (rad), and its log joint density, nats.
+
+    Args:
+        encoder: trained against the model.
+        model: of the scans.
+        ranges: measured, m; 0 where there is no reading.
+        seed: of the proposals.
+    """
+    pose, score = _mode(encoder, model, jnp.asarray(ranges, jnp.float32), jax.random.key(seed))
+    return np.asarray(pose, np.float64), float(score)
+
+
+@eqx.filter_jit
+def _mode(encoder: ScanEncoder, model: ScanModel, ranges: Array, key: PRNGKeyArray) -> tuple[Array, Array]:
+    q = encoder(ranges)
+    drawn = q.sample(key, PROPOSALS - len(q.log_weight))
+    proposals = jnp.concatenate([q.mean, drawn])
+
+    def scored(states: Array) -> tuple[Array, Array]:
+        score = model.log_prob(ranges, states) + encoder.prior.log_prob(states)
+        best = jnp.argsort(-score)[:KEPT]
+        return states[best], score[best]
+
+    def closer(carry: tuple[Array, Array], now: tuple[Array, PRNGKeyArray]) -> tuple[tuple[Array, Array], None]:
+        states, _ = carry
+        std, key = now
+        spread = jnp.array([1.0, 1.0, 10.0]) * std
+        near = jnp.repeat(states, PROPOSALS // KEPT, axis=0)
+        moved = near + spread * jax.random.normal(key, near.shape).at[:: PROPOSALS // KEPT].set(0.0)  # each stays once
+        return scored(moved.at[:, 2].set(wrap_angle(moved[:, 2]))), None
+
+    keys = jax.random.split(jax.random.fold_in(key, 1), len(SCATTER))
+    (states, score), _ = jax.lax.scan(closer, scored(proposals), (jnp.array(SCATTER), keys))
+    return states[0], score[0]
