@@ -44,7 +44,8 @@ class AnalyticRoom(eqx.Module):
         ahead, beside = dx * ux + dy * uy, dx * uy - dy * ux
         root = radius**2 - beside**2
         hit = (root > 0.0) & (ahead > 0.0)
-        met = jnp.where(hit, ahead - jnp.sqrt(jnp.where(hit, root, 1.0)), jnp.inf)
+        inside = (dx**2 + dy**2 < radius**2) & (ahead < jnp.inf)
+        met = jnp.where(inside, 0.0, jnp.where(hit, ahead - jnp.sqrt(jnp.where(hit, root, 1.0)), jnp.inf))
         return jnp.clip(jnp.minimum(wall, met), 1e-6, self.scanner.max_range)
 
     def log_prob(self, ranges: Array, state: Array) -> Array:

@@ -66,8 +66,8 @@ def test_the_cheapest_of_all_chains_is_found():
     """With cells so fine that no two chains share one, the search is as good as trying every chain."""
     controls = random_controls(1, LIMITS, 5, 2)[[0, 2, 3, 4]]
     moves = motions(Planar(MotionNoise(0.0, 0.0)), controls, 0.2, 0.01)
-    config = ScanPlannerConfig(cell=0.0008, headings=720, turn=0.003)
-    start = np.array([0.1, 0.1, 0.3])
+    config = ScanPlannerConfig(cell=0.003, headings=120, turn=0.003)
+    start = np.array([0.05, 0.1, 0.3])
     reached = {}
     for chain in itertools.product(range(4), repeat=4):
         pose, cost = start.copy(), 0.0
@@ -76,8 +76,9 @@ def test_the_cheapest_of_all_chains_is_found():
             x, y, turn = moves.displacement[m, -1]
             pose = pose + [c * x - s * y, s * x + c * y, turn]
             cost += moves.length[m].sum() + 0.003 * moves.turned[m]
-            reached[round(pose[0], 9), round(pose[1], 9)] = min(cost, reached.get((pose[0], pose[1]), math.inf))
-    for goal in [max(reached), min(reached, key=lambda p: abs(p[0] - 0.17) + abs(p[1] - 0.16))]:
+            place = round(pose[0], 9), round(pose[1], 9)
+            reached[place] = min(cost, reached.get(place, math.inf))
+    for goal in [max(reached), min(reached, key=lambda p: abs(p[0] - 0.12) + abs(p[1] - 0.16))]:
         goal = np.array(goal)
         best = min(cost for place, cost in reached.items() if math.hypot(*(place - goal)) <= 0.004)
         found = plan(start, goal, open_table(0.3), moves, RADIUS, goal_radius=0.004, config=config)
@@ -137,7 +138,7 @@ def test_a_start_that_is_too_near_is_left(maze, exact):
     found = plan(np.array([0.5, 0.009, 0.0]), np.array([0.8, 0.3]), room, MOVES, RADIUS, goal_radius=0.012)
     assert found.found
     assert found.poses[-1, 1] > 0.28
-    blocked = plan(np.array([0.32, 0.41, 0.0]), np.array([0.8, 0.3]), room, MOVES, RADIUS, goal_radius=0.012)
+    blocked = plan(np.array([0.3, 0.4, 0.0]), np.array([0.8, 0.3]), room, MOVES, RADIUS, goal_radius=0.012)
     assert blocked.status is PlanStatus.START_BLOCKED
     assert len(blocked.poses) == 0
     assert blocked.cost == math.inf

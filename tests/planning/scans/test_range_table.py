@@ -15,7 +15,7 @@ ROOM = AnalyticRoom(full_circle(), pillar=(0.3, 0.4, 0.0))  # no pillar
 
 @pytest.fixture(scope="module")
 def table():
-    return range_table(ROOM, np.array([0.1, 0.1]), np.array([0.9, 0.5]), RangeTableConfig(spacing=0.02))
+    return range_table(ROOM, np.array([0.1, 0.1]), np.array([0.9, 0.5]), RangeTableConfig(0.02, near=0.1, width=0.02))
 
 
 def test_the_clearance_is_the_distance_to_the_nearest_wall(table):
@@ -32,7 +32,7 @@ def test_the_clearance_is_the_distance_to_the_nearest_wall(table):
 def test_the_danger_sums_the_sigmoid_over_one_scan(table):
     state = np.stack(np.broadcast_arrays(0.5, 0.12, [0.0, np.pi * (1.0 + 1.0 / 64.0)]), axis=-1)
     ranges = np.asarray(ROOM.ranges(jnp.asarray(state, jnp.float32)))
-    expected = (0.5 - 0.5 * np.tanh(0.5 * (ranges - 0.03) / 0.005)).sum(axis=-1).mean()
+    expected = (0.5 - 0.5 * np.tanh(0.5 * (ranges - 0.1) / 0.02)).sum(axis=-1).mean()
     assert table.danger[20, 1] == pytest.approx(expected, rel=1e-3)
 
 

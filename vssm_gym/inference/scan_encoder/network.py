@@ -54,7 +54,7 @@ class ScanEncoder(eqx.Module):
         max_range: of the scanner, m.
     """
 
-    layers: list[tuple[Float[Array, "a b"], Float[Array, "b"]]]
+    layers: list[tuple[Float[Array, "_ _"], Float[Array, "_"]]]
     prior: VisitedPlaces
     max_range: Float[Array, ""]
 

@@ -47,12 +47,12 @@ class EncoderConfig:
 
     components: int = 8
     width: int = 256
-    scans: int = 32_768
+    scans: int = 20_480
     nearest: float = 0.0125
-    updates: int = 2000
+    updates: int = 5000
     batch: int = 256
     rate: float = 1e-3
-    elbo_updates: int = 100
+    elbo_updates: int = 0
     elbo_batch: int = 16
     elbo_rate: float = 1e-4
 
