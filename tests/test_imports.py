@@ -116,7 +116,7 @@ FOLDERS = {
         ["npz_file", "yaml_file", "output_folders"],
     ],
     "inference": [
-        ["alignment", "mapping", "linear_gaussian", "particles", "status"],
+        ["alignment", "mapping", "linear_gaussian", "particles", "scan_encoder", "status"],
         ["filter"],
         ["tracking", "planar"],
         ["relocalisation", "prism"],
@@ -128,7 +128,7 @@ FOLDERS = {
         ["floor_plan", "pursuit"],
         ["grid_search"],
         ["car", "exploration"],
-        ["value_iteration"],
+        ["value_iteration", "scans"],
         ["mpc"],
         [""],
     ],

@@ -56,8 +56,8 @@ class LidarMazeEnv(PhasedEnv):
             their starts. A task passed in ``reset(options={"task": task})`` comes before both.
         end_on: ``stop``: the episode ends at the agent's stop, where success is evaluated; ``reach``: it ends when the
             task is done and ``stop`` means nothing.
-        goal: how it is observed: its ``position``, or the ``scan`` that the robot's own scanner would take there without
-            noise, with a heading that the task fixes.
+        goal: how it is observed: its ``position``, or the ``scan`` that the robot's own scanner would take there,
+            without noise, with a heading that the task fixes.
         reward: ``dense`` (metres gained, a cost a step, a success reward) or ``sparse`` (success).
         render_mode: ``rgb_array``, ``human`` (a window) or None.
         captions: if True, a strip of text lies below each picture; a window always shows it.

@@ -74,7 +74,7 @@ def test_the_cheapest_of_all_chains_is_found():
         for m in chain:
             c, s = math.cos(pose[2]), math.sin(pose[2])
             x, y, turn = moves.displacement[m, -1]
-            pose = pose + [c * x - s * y, s * x + c * y, turn]
+            pose = pose + np.array([c * x - s * y, s * x + c * y, turn])
             cost += moves.length[m].sum() + 0.003 * moves.turned[m]
             place = round(pose[0], 9), round(pose[1], 9)
             reached[place] = min(cost, reached.get(place, math.inf))
