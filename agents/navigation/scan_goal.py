@@ -32,7 +32,8 @@ class ScanGoalAgent:
         """Open an episode."""
         if context.scan_encoder is None:
             raise InputError("AgentContext", "scan_encoder", "an encoder of scans, which finds this agent's goal")
-        self._context, self._seed, self._seen = context, seed, None
+        self._context, self._seed = context, seed
+        self._seen: np.ndarray | None = None
         self._navigator.reset(context, observation, seed)
 
     def act(self, observation: Observation) -> Decision:

@@ -48,7 +48,7 @@ def navigator():
 def test_the_bound_reaches_its_goals(task):
     row = episode(ScanOracleAgent(), task)
     assert row["success"]
-    assert row["distance_to_goal"] == 0.0
+    assert row["distance_to_goal"] < 0.01  # from the middle of the goal
     assert row["expansions"] > 0
     assert row["location_error_mean"] is None
 

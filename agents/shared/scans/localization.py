@@ -18,7 +18,7 @@ from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.transition import world_covariance
 from vssm_gym.model.transition.base import Transition
 
-ROUNDING = 1e-5  # m, rad: of single precision, so that a covariance is never negative
+COVARIANCE_ROUNDING = 1e-5  # m, rad: of single precision, so that a covariance is never negative
 
 
 class ScanLocalizer(Protocol):
@@ -74,7 +74,7 @@ class ParticlePose:
         control, ranges = jnp.asarray(command, jnp.float32), jnp.asarray(observation["scan"], jnp.float32)
         self._belief, *found = _step(self._model, self._transition, key, self._belief, control, ranges, self._dt)
         planar, std, covariance = (np.asarray(value, np.float64) for value in found)
-        covariance = 0.5 * (covariance + covariance.T) + ROUNDING**2 * np.eye(3)
+        covariance = 0.5 * (covariance + covariance.T) + COVARIANCE_ROUNDING**2 * np.eye(3)
         return Localization(planar, std, Status.OK, 0, covariance)
 
 

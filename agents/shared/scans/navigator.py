@@ -76,7 +76,8 @@ class ScanNavigator:
         self._context = context
         self._here = self._localizer.reset(context, observation, seed)
         self._command: tuple[float, float] | None = None
-        self._goal, self._plan, self._path, self._segment = np.full(2, np.nan), None, np.empty((0, 2)), 0
+        self._goal, self._path, self._segment = np.full(2, np.nan), np.empty((0, 2)), 0
+        self._plan: ScanPlan | None = None
         self._failed, self._expansions, self._plans = 0, 0, 0
 
     def act(self, observation: Observation) -> Decision:

@@ -17,8 +17,8 @@ from vssm_gym.model.scan_model import ScanModel
 
 PROPOSALS = 448  # poses of the first round
 SCATTERED = 96  # of a later one
-KEPT = 12  # best of a round, about which the next one scatters
-OUTSIDE = -1e4  # nats, of a place that was not visited
+KEPT_PROPOSALS = 12  # best of a round, about which the next one scatters
+NEVER_VISITED = -1e4  # nats, of a place that was not visited
 BEYOND = 2.0  # nats, below the least density of a visited place: two standard deviations away from it
 SCATTER = (0.02, 0.01, 0.005, 0.0025)  # m, and ten times as many rad, of each round
 
@@ -48,16 +48,18 @@ def _mode(encoder: ScanEncoder, model: ScanModel, ranges: Array, key: PRNGKeyArr
 
     def scored(states: Array) -> tuple[Array, Array]:
         score = model.log_prob(ranges, states)
-        score = score + jnp.where(encoder.prior.log_prob(states) < least, OUTSIDE, 0.0)
-        best = jnp.argsort(-score)[:KEPT]
+        score = score + jnp.where(encoder.prior.log_prob(states) < least, NEVER_VISITED, 0.0)
+        best = jnp.argsort(-score)[:KEPT_PROPOSALS]
         return states[best], score[best]
 
     def closer(carry: tuple[Array, Array], now: tuple[Array, PRNGKeyArray]) -> tuple[tuple[Array, Array], None]:
         states, _ = carry
         std, key = now
         spread = jnp.array([1.0, 1.0, 10.0]) * std
-        near = jnp.repeat(states, SCATTERED // KEPT, axis=0)
-        moved = near + spread * jax.random.normal(key, near.shape).at[:: SCATTERED // KEPT].set(0.0)  # each stays once
+        near = jnp.repeat(states, SCATTERED // KEPT_PROPOSALS, axis=0)
+        moved = near + spread * jax.random.normal(key, near.shape).at[:: SCATTERED // KEPT_PROPOSALS].set(
+            0.0
+        )  # each stays once
         return scored(moved.at[:, 2].set(wrap_angle(moved[:, 2]))), None
 
     keys = jax.random.split(jax.random.fold_in(key, 1), len(SCATTER))

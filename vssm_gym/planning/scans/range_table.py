@@ -21,7 +21,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.model.scan_model import ScanModel
 
 PLACES_AT_ONCE = 256  # places of a batch
-MOST_PLACES = 4_000_000  # of a table
+MOST_TABLE_PLACES = 4_000_000  # of a table
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ def range_table(
     config = config or RangeTableConfig()
     low, high = np.asarray(low, float), np.asarray(high, float)
     shape = np.ceil((high - low) / config.spacing - 1e-9).astype(int) + 1
-    if not (shape >= 2).all() or shape.prod() > MOST_PLACES:
-        found = " x ".join(map(str, shape.tolist()))
-        raise InputError("range_table", "spacing", f"2 x 2 to {MOST_PLACES:,} places; found {found}")
+    if not (shape >= 2).all() or shape.prod() > MOST_TABLE_PLACES:
+        size = " x ".join(map(str, shape.tolist()))
+        raise InputError("range_table", "spacing", f"2 x 2 to {MOST_TABLE_PLACES:,} places; found {size}")
     nx, ny = shape.tolist()
     i, j = np.divmod(np.arange(nx * ny), ny)
     places = low + config.spacing * np.stack([i, j], axis=-1)
