@@ -42,9 +42,8 @@ def load_encoder(path: Path, prior: VisitedPlaces, max_range: float) -> ScanEnco
         (arrays[f"w{k}"], arrays[f"b{k}"]) for k in range(len(arrays) // 2) if f"w{k}" in arrays and f"b{k}" in arrays
     ]
     wide = [w.shape for w, _ in layers]
-    fits = all(
-        w.ndim == 2 and b.shape == w.shape[1:] and np.isfinite(w).all() and np.isfinite(b).all() for w, b in layers
-    )
+    finite = all(a.dtype == np.float32 and np.isfinite(a).all() for a in arrays.values())
+    fits = finite and all(w.ndim == 2 and b.shape == w.shape[1:] for w, b in layers)
     follows = fits and all(a[1] == b[0] for a, b in itertools.pairwise(wide))
     if not layers or 2 * len(layers) != len(arrays) or not follows or wide[-1][1] % OUTPUTS:
         raise InputError(path, "layers", f"finite layers of which each reads the one before it; found {wide}")
