@@ -50,7 +50,7 @@ class EncoderConfig:
     scans: int = 20_480
     nearest: float = 0.0125
     updates: int = 5000
-    batch: int = 256
+    batch: int = 128
     rate: float = 1e-3
     elbo_updates: int = 0
     elbo_batch: int = 16
