@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 from vssm_gym.geometry.transforms import wrap_angle
 
+AHEAD = 0.6  # of a disc's radius, to either side of its heading
+
 
 class Progress(NamedTuple):
     """Locate a robot beside a path."""
@@ -69,6 +71,17 @@ def follow(
         return 0.0, step
     turn = float(wrap_angle(_bearing(after, beyond) - pose[2]))
     return float(np.clip(turn, -most_turn, most_turn)), step
+
+
+def free_ahead(ranges: Float[np.ndarray, "beams"], angles: Float[np.ndarray, "beams"], radius: float) -> float:
+    """Return how far a disc can drive along its heading before it meets a reading, m.
+
+    Readings beside it, beyond :data:`AHEAD` of its radius, do not count: it passes them, and their noise would stop it.
+    """
+    ahead, beside = ranges * np.cos(angles), ranges * np.sin(angles)
+    met = (ranges > 0.0) & (ahead > 0.0) & (np.abs(beside) < AHEAD * radius)
+    reach = ahead[met] - np.sqrt(radius**2 - beside[met] ** 2)
+    return float(max(0.0, reach.min(initial=np.inf)))
 
 
 def _bearing(xy: np.ndarray, to: np.ndarray) -> float:

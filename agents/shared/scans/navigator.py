@@ -11,8 +11,9 @@ import equinox as eqx
 import numpy as np
 
 from vssm_gym.agents.base import STOP_COMMAND, AgentContext, Decision, Observation
-from vssm_gym.agents.shared.scans.following import follow, progress
+from vssm_gym.agents.shared.scans.following import follow, free_ahead, progress
 from vssm_gym.agents.shared.scans.localization import ScanLocalizer
+from vssm_gym.agents.shared.scans.surprises import Surprises
 from vssm_gym.errors import InputError
 from vssm_gym.planning.scans.control_sequences import motions, random_controls
 from vssm_gym.planning.scans.hybrid_astar import ScanPlan, ScanPlannerConfig, plan
@@ -38,6 +39,7 @@ class ScanNavigation:
         off: distance from the drive at which it plans anew.
         look: distance along the drive that it aims at.
         faced: angle from its aim within which it drives.
+        near: range up to which readings are compared with the model.
         patience: failed searches in a row after which it gives up.
     """
 
@@ -53,6 +55,7 @@ class ScanNavigation:
     off: float = 0.012
     look: float = 0.025
     faced: float = math.radians(20.0)
+    near: float = 0.2
     patience: int = 10
 
 
@@ -79,6 +82,7 @@ class ScanNavigator:
         self._goal, self._path, self._segment = np.full(2, np.nan), np.empty((0, 2)), 0
         self._plan: ScanPlan | None = None
         self._failed, self._expansions, self._plans = 0, 0, 0
+        self._surprises.forget()
 
     def act(self, observation: Observation) -> Decision:
         """Return the next command; the goal may change between two calls."""
@@ -97,6 +101,10 @@ class ScanNavigator:
         left = math.hypot(*(goal - pose[:2]))
         if left <= self._config.arrived * self._context.success_radius:
             return self._decision(0.0, 0.0, True, "arrived", began, tracked)
+        ranges, angles = np.asarray(observation["scan"], np.float64), np.asarray(self._angles, np.float64)
+        met = self._surprises.look(pose, ranges, angles)
+        if self._plan is not None and len(met) and self._blocks(met):
+            self._plan = None
         if self._plan is not None:
             at = progress(self._path, pose[:2], self._segment)
             if at.distance > self._config.off:
@@ -111,6 +119,7 @@ class ScanNavigator:
         self._segment = at.segment
         limits = np.asarray(self._context.limits, np.float64)
         turn, step = follow(pose, self._path, at, limits, self._config.look, self._config.faced)
+        step = min(step, free_ahead(ranges, angles, 0.5 * self._context.body_length))
         return self._decision(turn, step, False, "driving", began, tracked)
 
     def _search(self, pose: np.ndarray, goal: np.ndarray) -> None:
@@ -118,22 +127,31 @@ class ScanNavigator:
         radius = 0.5 * self._context.body_length
         c = self._config
         found: ScanPlan = plan(
-            pose, goal, self._table, self._motions, radius, goal_radius=c.goal_radius, config=c.planner
+            pose, goal, self._surprises.table, self._motions, radius, goal_radius=c.goal_radius, config=c.planner
         )
         self._expansions, self._plans = self._expansions + found.expansions, self._plans + 1
         self._status = found.status.message
         if len(found.poses) < 1 or not found.found:
             self._failed += 1
+            self._surprises.forget()  # one of them may have been none
             return
         self._failed, self._plan, self._segment = 0, found, 0
         self._path = np.concatenate([found.poses[:, :2], goal[None]])
+
+    def _blocks(self, met: np.ndarray) -> bool:
+        """Return whether a surface that was not predicted lies on the rest of the drive."""
+        rest = self._path[self._segment :]
+        away = np.hypot(*np.moveaxis(rest[:, None] - met[None], -1, 0))
+        return bool(away.min() < 0.5 * self._context.body_length + self._config.planner.margins[0])
 
     def _prepare(self, context: AgentContext) -> None:
         """Ask a new model for its ranges, and a new robot for its motions."""
         before, c = self._prepared, self._config
         if before is None or before.scan_model is not context.scan_model:
             assert context.scan_model is not None
-            self._table = range_table(context.scan_model, np.array(c.low), np.array(c.high), c.table)
+            table = range_table(context.scan_model, np.array(c.low), np.array(c.high), c.table)
+            self._surprises = Surprises(table, c.near, 0.5 * context.body_length)
+            self._angles = np.asarray(context.scan_model.scanner.angles)
         same = before is not None and np.array_equal(before.limits, context.limits)
         if not same or before is None or not eqx.tree_equal(before.transition, context.transition):
             controls = random_controls(CONTROLS_SEED, np.asarray(context.limits), c.sequences, c.steps)
