@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from vssm_gym.geometry.transforms import wrap_angle
 
-AHEAD = 0.6  # of a disc's radius, to either side of its heading
+AHEAD_WIDTH = 0.6  # of a disc's radius, to either side of its heading
 
 
 class Progress(NamedTuple):
@@ -76,10 +76,10 @@ def follow(
 def free_ahead(ranges: Float[np.ndarray, "beams"], angles: Float[np.ndarray, "beams"], radius: float) -> float:
     """Return how far a disc can drive along its heading before it meets a reading, m.
 
-    Readings beside it, beyond :data:`AHEAD` of its radius, do not count: it passes them, and their noise would stop it.
+    Readings beside it, beyond :data:`AHEAD_WIDTH` of its radius, do not count: it passes them, and their noise would stop it.
     """
     ahead, beside = ranges * np.cos(angles), ranges * np.sin(angles)
-    met = (ranges > 0.0) & (ahead > 0.0) & (np.abs(beside) < AHEAD * radius)
+    met = (ranges > 0.0) & (ahead > 0.0) & (np.abs(beside) < AHEAD_WIDTH * radius)
     reach = ahead[met] - np.sqrt(radius**2 - beside[met] ** 2)
     return float(max(0.0, reach.min(initial=np.inf)))
 
