@@ -76,7 +76,8 @@ def follow(
 def free_ahead(ranges: Float[np.ndarray, "beams"], angles: Float[np.ndarray, "beams"], radius: float) -> float:
     """Return how far a disc can drive along its heading before it meets a reading, m.
 
-    Readings beside it, beyond :data:`AHEAD_WIDTH` of its radius, do not count: it passes them, and their noise would stop it.
+    Readings beside it, beyond :data:`AHEAD_WIDTH` of its radius, do not count: it passes them,
+    and their noise would stop it.
     """
     ahead, beside = ranges * np.cos(angles), ranges * np.sin(angles)
     met = (ranges > 0.0) & (ahead > 0.0) & (np.abs(beside) < AHEAD_WIDTH * radius)
