@@ -15,8 +15,8 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.model.scan_model import ScanModel
 
-PROPOSALS = 448  # poses of the first round
-SCATTERED = 96  # of a later one
+PROPOSALS = 512  # poses of the first round
+SCATTERED = 192  # of a later one
 KEPT_PROPOSALS = 12  # best of a round, about which the next one scatters
 NEVER_VISITED = -1e4  # nats, of a place that was not visited
 BEYOND = 2.0  # nats, below the least density of a visited place: two standard deviations away from it

@@ -47,10 +47,10 @@ class EncoderConfig:
 
     components: int = 8
     width: int = 256
-    scans: int = 20_480
+    scans: int = 32_768
     nearest: float = 0.0125
-    updates: int = 5000
-    batch: int = 128
+    updates: int = 6000
+    batch: int = 256
     rate: float = 1e-3
     elbo_updates: int = 0
     elbo_batch: int = 16
