@@ -40,7 +40,7 @@ class EncoderConfig:
         updates: of the first objective.
         batch: of its scans.
         rate: of Adam; it falls to zero along a cosine.
-        elbo_updates: of the second objective.
+        elbo_updates: of the second objective; it has not helped on occupancy maps.
         elbo_batch: of its scans; each is rendered at one pose of each component.
         elbo_rate: of Adam there.
     """
