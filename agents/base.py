@@ -13,7 +13,9 @@ import numpy as np
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.axes import DirectionFrame
 from vssm_gym.geometry.car import Car
+from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.transition.base import Transition
 
 Observation: TypeAlias = Mapping[str, np.ndarray]
@@ -46,6 +48,8 @@ class AgentContext:
         direction_frame: of the direction in a holonomic robot's commands: relative to the heading, or in the world.
         stops: of a car, True where its action ends with a stop, at which success is evaluated (CarNav-v1), and False
             where the episode ends on arrival (CarNav-v0). The action of another robot always has a stop.
+        scan_model: the learned model of a laser scanner's scans; None for an agent that needs none.
+        scan_encoder: ``q(z | x)`` of that model; None for an agent whose goals are no scans.
     """
 
     K: np.ndarray
@@ -62,6 +66,8 @@ class AgentContext:
     car: Car | None = None
     direction_frame: DirectionFrame = "body"
     stops: bool = False
+    scan_model: ScanModel | None = None
+    scan_encoder: ScanEncoder | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,7 @@ class Decision:
             its pose is observed, or it keeps no belief.
         responses: how often each response to a failure was begun in this task so far, by name; None of an agent that
             does not count them.
+        expansions: nodes that the searches of this task have closed so far; None of an agent that does not count them.
     """
 
     action: np.ndarray
@@ -94,6 +101,7 @@ class Decision:
     gives_up: bool = False
     covariance: np.ndarray | None = None
     responses: Mapping[str, int] | None = None
+    expansions: int | None = None
 
 
 @runtime_checkable

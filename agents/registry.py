@@ -29,6 +29,9 @@ from vssm_gym.agents.navigation.dist_bug import DistBugAgent
 from vssm_gym.agents.navigation.no_map import NoMapAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
+from vssm_gym.agents.navigation.scan_astar import ScanAStarAgent
+from vssm_gym.agents.navigation.scan_goal import ScanGoalAgent
+from vssm_gym.agents.navigation.scan_oracle import ScanOracleAgent
 from vssm_gym.agents.navigation.slam_image import SlamImageAgent
 from vssm_gym.agents.navigation.slam_nav import SlamNavAgent
 from vssm_gym.agents.navigation.slam_nav_ablations import (
@@ -69,6 +72,9 @@ AGENTS: dict[str, type[Agent]] = {
         GreedyAgent,
         DwaAgent,
         DistBugAgent,
+        ScanAStarAgent,
+        ScanGoalAgent,
+        ScanOracleAgent,
         MiExplorerAgent,
         FrontierNearestAgent,
         FrontierGainAgent,

@@ -119,7 +119,7 @@ FOLDERS = {
         ["npz_file", "yaml_file", "output_folders"],
     ],
     "inference": [
-        ["alignment", "mapping", "linear_gaussian", "particles", "status"],
+        ["alignment", "mapping", "linear_gaussian", "particles", "scan_encoder", "status"],
         ["filter"],
         ["tracking", "planar", "latent"],
         ["relocalisation", "prism"],
@@ -131,7 +131,7 @@ FOLDERS = {
         ["floor_plan", "pursuit"],
         ["grid_search"],
         ["car", "exploration"],
-        ["value_iteration"],
+        ["value_iteration", "scans"],
         ["mpc"],
         [""],
     ],

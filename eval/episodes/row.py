@@ -110,6 +110,7 @@ class EpisodeRow(_Strict):
     nees: NonNegative | None = None  # over the dimension, mean over the steps; None of an agent without a covariance
     in_95: Proportion | None = None  # of the steps
     responses: dict[str, Count] | None = None  # to failures on the way, by name
+    expansions: Count | None = None  # nodes that searches have closed
     latency: dict[str, Latency] | None = None
     decision_p95: Length | None = None  # of rows that are kept without their latencies
     goal: list[float] | None = None

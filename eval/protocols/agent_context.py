@@ -13,7 +13,9 @@ from vssm_gym.envs.robots.car_noise import CarNoise
 from vssm_gym.envs.robots.differential import DifferentialExecutionNoise, DifferentialRobot
 from vssm_gym.eval.protocols.car_model_error import car_model_error
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
+from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.transition import BiasedNoise, Bicycle, MotionNoise, Planar, Transition
 from vssm_gym.model.transition.differential import DifferentialDrive, DifferentialNoise
 
@@ -79,6 +81,8 @@ def context_of(
     K: np.ndarray | None = None,
     limits: np.ndarray | None = None,
     stops: bool = False,
+    scan_model: ScanModel | None = None,
+    scan_encoder: ScanEncoder | None = None,
 ) -> AgentContext:
     """Build the context of a robot.
 
@@ -93,6 +97,8 @@ def context_of(
         K: ``(3, 3)`` of the camera, pixels; None without one.
         limits: largest commands, where they are not all of the body's limits.
         stops: of a car, True where the episode ends on its stop.
+        scan_model: the learned model of scans, None for an agent that needs none.
+        scan_encoder: of that model, None for an agent whose goals are no scans.
     """
     return AgentContext(
         K=np.eye(3) if K is None else np.array(K),
@@ -109,6 +115,8 @@ def context_of(
         car=body if isinstance(body, Car) else None,
         direction_frame=getattr(body, "direction_frame", "body"),  # the holonomic robot has it
         stops=stops,
+        scan_model=scan_model,
+        scan_encoder=scan_encoder,
     )
 
 
@@ -147,6 +155,8 @@ def context_in(
     voxel_map: VoxelMap | None,
     noise: KnownNoise,
     limits: np.ndarray | None = None,
+    scan_model: ScanModel | None = None,
+    scan_encoder: ScanEncoder | None = None,
 ) -> AgentContext:
     """Build the context of a round robot in a world that was just reset; ``info`` is that of the reset."""
     return context_of(
@@ -159,4 +169,6 @@ def context_in(
         camera=getattr(world, "camera", None),  # a scanner's robot has none
         K=info.get("K"),
         limits=limits,
+        scan_model=scan_model,
+        scan_encoder=scan_encoder,
     )

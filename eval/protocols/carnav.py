@@ -22,12 +22,22 @@ from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols import shared
 from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.episode import calibration_of, estimates_of, latency_of, thinned, trace_of
-from vssm_gym.eval.protocols.shared import WORLD, keep_or_write, load, notice, scene_names, tasks_in, world
+from vssm_gym.eval.protocols.shared import (
+    WORLD,
+    ensure_map,
+    keep_or_write,
+    load,
+    load_map,
+    notice,
+    scene_names,
+    tasks_in,
+    world,
+)
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.car import reeds_shepp
 
-__all__ = ["conditions", "load", "notice", "run", "run_episode", "scene_names", "write_tasks"]
+__all__ = ["conditions", "ensure_map", "load", "load_map", "notice", "run", "run_episode", "scene_names", "write_tasks"]
 
 KEYWORDS = tuple(name for name in WORLD if name not in ("robot", "direction_frame"))  # of a condition
 MOVING_SPEED = 0.05  # m/s: slower commands count as standing when direction changes are counted

@@ -15,7 +15,9 @@ from vssm_gym.eval.metrics.failure import failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.metrics.pose_calibration import pose_calibration
 from vssm_gym.eval.protocols.agent_context import KnownNoise, context_in
+from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.scan_model import ScanModel
 
 TRACE_POINTS = 80  # points of a path kept in a row, enough for a picture
 TRACE_CONTACTS = 30  # points of contact kept in a row
@@ -56,6 +58,8 @@ def run_episode(
     noise: KnownNoise,
     limits: np.ndarray | None = None,
     spectator: Spectator | None = None,
+    scan_model: ScanModel | None = None,
+    scan_encoder: ScanEncoder | None = None,
 ) -> dict[str, Any]:
     """Run ``agent`` on ``task`` until it stops or time is out.
 
@@ -69,16 +73,18 @@ def run_episode(
         noise: the execution noise in the agent's context.
         limits: largest commands, where they are not all of the robot's limits.
         spectator: called with every step, in order; its time does not count as the agent's.
+        scan_model: the learned model of scans, None for an agent that needs none.
+        scan_encoder: of that model, None for an agent whose goals are no scans.
 
     Returns:
         The metrics of :func:`episode_metrics` and of :func:`calibration_of`, ``failure`` (None on success), the agent's
-        last ``status``, its ``responses`` to failures where it counts them, latency percentiles by stage in seconds,
-        and the downsampled ``trace``: plain JSON values.
+        last ``status``, its ``responses`` to failures and ``expansions`` where it counts them, latency percentiles by
+        stage in seconds, and the downsampled ``trace``: plain JSON values.
     """
     observation, info = env.reset(seed=seed, options={"task": task})
     world: Any = env.unwrapped
     world = getattr(world, "navigation", world)  # ImageNav moves, rewards and ends as the PointNav that it holds
-    context = context_in(world, info, voxel_map, noise, limits)
+    context = context_in(world, info, voxel_map, noise, limits, scan_model, scan_encoder)
     agent.reset(context, observation, int(np.random.SeedSequence([seed, 1]).generate_state(1)[0]))
 
     poses = [np.array(world.planar)]
@@ -126,6 +132,7 @@ def run_episode(
         "failure": None if success else failure,
         "status": decisions[-1].status,
         **({} if decisions[-1].responses is None else {"responses": dict(decisions[-1].responses)}),
+        **({} if decisions[-1].expansions is None else {"expansions": decisions[-1].expansions}),
         "latency": latency_of(decisions, seconds),
         "end_on": world.end_on,
         "tracer": getattr(world, "renderer_name", "none"),

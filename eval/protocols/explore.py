@@ -18,10 +18,20 @@ from vssm_gym.eval.episodes.identity import Episode, ExploreSettings, episode_se
 from vssm_gym.eval.protocols import pointnav
 from vssm_gym.eval.protocols.episode import run_episode as run_navigation
 from vssm_gym.eval.protocols.explore_episode import Spectator, map_of, run_episode
-from vssm_gym.eval.protocols.shared import conditions, load, notice, sampler_of, scene_names, tasks_in, world
+from vssm_gym.eval.protocols.shared import (
+    conditions,
+    ensure_map,
+    load,
+    load_map,
+    notice,
+    sampler_of,
+    scene_names,
+    tasks_in,
+    world,
+)
 from vssm_gym.maps.voxel_map import VoxelMap
 
-__all__ = ["conditions", "load", "navigate", "notice", "run", "scene_names", "write_tasks"]
+__all__ = ["conditions", "ensure_map", "load", "load_map", "navigate", "notice", "run", "scene_names", "write_tasks"]
 
 POINTNAV = "vssm_gym/PointNav-v0"
 LEAST_TASKS = 40  # in a scene's file, so that there are tasks to navigate besides the starts

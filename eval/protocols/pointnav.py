@@ -16,8 +16,10 @@ from vssm_gym.eval.episodes.identity import Episode, episode_seed
 from vssm_gym.eval.protocols.episode import Spectator, run_episode
 from vssm_gym.eval.protocols.shared import (
     conditions,
+    ensure_map,
     keep_or_write,
     load,
+    load_map,
     notice,
     sampler_of,
     scene_names,
@@ -26,7 +28,7 @@ from vssm_gym.eval.protocols.shared import (
 )
 from vssm_gym.maps.voxel_map import VoxelMap
 
-__all__ = ["conditions", "load", "notice", "run", "scene_names", "write_tasks"]
+__all__ = ["conditions", "ensure_map", "load", "load_map", "notice", "run", "scene_names", "write_tasks"]
 
 
 def write_tasks(apartment: Apartment, n: int, path: Path) -> None:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from vssm_gym.agents.base import Agent
     from vssm_gym.envs.scenes.scene import Apartment
     from vssm_gym.eval.episodes.identity import Episode
-    from vssm_gym.maps.voxel_map import VoxelMap
 
 SWEPT_ENVIRONMENTS = {name: spec for name, spec in ENVIRONMENTS.items() if spec.protocol}
 """The environments that sweeps run: those with an episode protocol, by id."""
@@ -45,7 +44,17 @@ class EpisodeProtocol(Protocol):
         """Write the first ``n`` test tasks of a scene to a file; keep a file that already holds them."""
         ...
 
-    def run(self, episode: "Episode", agent: "Agent", task_file: Path, voxel_map: "VoxelMap | None") -> dict[str, Any]:
+    def ensure_map(
+        self, scene: str, folder: Path, *, voxel: float, seed: int, poses: Any, surfaces: Any, on_progress: Any = None
+    ) -> Path:
+        """Return the file of the learned map of a scene in a sweep's folder; make it if it is not there."""
+        ...
+
+    def load_map(self, path: Path) -> Any:
+        """Return the learned map of a file, as :meth:`run` takes it."""
+        ...
+
+    def run(self, episode: "Episode", agent: "Agent", task_file: Path, learned: Any) -> dict[str, Any]:
         """Run one episode and return the measured fields of its row."""
         ...
 

@@ -19,6 +19,10 @@ from vssm_gym.envs.sensors.rgbd_noise import PRESETS
 from vssm_gym.envs.tasks.car_sets import CarTaskSet
 from vssm_gym.envs.tasks.navigation import TaskSampler, TaskSet, read
 from vssm_gym.eval.episodes.identity import Condition
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.slam.map_building import ensure_map
+
+__all__ = ["ensure_map"]  # of learned maps, with those that are defined here
 
 S = TypeVar("S", TaskSet, CarTaskSet)
 # Fields of a condition that are keywords of environments
@@ -39,6 +43,11 @@ def conditions() -> Mapping[str, Sequence[str]]:
         "renderer": tuple(RENDERERS),
         "direction_frame": DIRECTION_FRAMES,
     }
+
+
+def load_map(path: Path) -> VoxelMap:
+    """Return the map of a file that ``ensure_map`` has made."""
+    return VoxelMap.load(path)
 
 
 @lru_cache(maxsize=1)

@@ -100,7 +100,7 @@ def _page(
     view: View, rows: Sequence[Row], reference: str | None, manifest: dict[str, Any], folder: Path, seed: int
 ) -> str:
     files = {row["scene"]: map_file(folder / "maps", f"{row['scene']}.npz") for row in rows}
-    maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path is not None}
+    maps = {scene: VoxelMap.load(path) for scene, path in files.items() if path is not None and view.voxel_maps}
     backgrounds = view.backgrounds(maps, folder, rows)
     successes = None
     if any(row.get("trace") for row in rows):

@@ -29,6 +29,7 @@ class View:
     Attributes:
         template: of the page (:mod:`vssm_gym.viz.html`), which holds all explanations.
         values: further values that the template names.
+        voxel_maps: whether the learned maps of the sweep's folder are voxel maps, on which runs are drawn.
         conditions: lists of the configuration that the page's header shows.
         measures: the metrics of the tables.
         ranking: by what agents are ordered, and which of the best one's metrics the page's tiles show.
@@ -66,6 +67,7 @@ class View:
     success: Callable[[Row], list[Mark]]
     numbers: Callable[[Row], str]
     values: Mapping[str, Any] = field(default_factory=dict)
+    voxel_maps: bool = True
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,6 @@ from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
-from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.version import package_version
 
 if TYPE_CHECKING:
@@ -187,7 +186,7 @@ def _jobs(
         if "map_hash" in manifest:
             map_file = out / "maps" / f"{scene_name(scene)}.npz"
         else:
-            map_file = ensure_map(
+            map_file = protocol_of(config.env[0]).ensure_map(
                 scene,
                 out,
                 voxel=config.voxel,

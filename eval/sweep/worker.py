@@ -109,8 +109,8 @@ def run(job: Job) -> dict[str, Any]:
     episode = job.episode
     try:
         protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
-        voxel_map = _map(job.map_file) if job.map_file else None
-        result = protocol.run(episode, agent, job.task_file, voxel_map)
+        learned = _map(episode.condition.env, job.map_file) if job.map_file else None
+        result = protocol.run(episode, agent, job.task_file, learned)
     except (InputError, OutputError):
         raise
     except Exception as error:  # of a class that only this process may know, so that its text is sent
@@ -150,7 +150,5 @@ def _agent(name: str) -> "Agent":
 
 
 @lru_cache(maxsize=1)
-def _map(path: Path) -> "VoxelMap":
-    from vssm_gym.maps.voxel_map import VoxelMap
-
-    return VoxelMap.load(path)
+def _map(env: str, path: Path) -> Any:
+    return protocol_of(env).load_map(path)

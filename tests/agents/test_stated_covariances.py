@@ -1,10 +1,13 @@
 """Test over the registry that agents which estimate their pose state its covariance, in episodes of a few steps."""
 
 import gymnasium as gym
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
 
+from tests.helpers.analytic_room import full_circle
 from tests.helpers.box_rooms import two_rooms
 from tests.helpers.maze_episodes import MAZE, TASK
 from tests.helpers.planning_worlds import voxel_map
@@ -19,12 +22,19 @@ from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.eval.protocols import carnav, explore_episode
 from vssm_gym.eval.protocols.agent_context import SCANNER_COMMANDS
 from vssm_gym.eval.protocols.episode import run_episode
+from vssm_gym.eval.protocols.exact_scans import ExactScans
+from vssm_gym.inference.scan_encoder.network import new_encoder
+from vssm_gym.inference.scan_encoder.prior import VisitedPlaces
 
 ROOMS = two_rooms()
 SMALL = CameraConfig(width=64, height=48)
 STEPS = 4
 NOISE = ExecutionNoise(0.05, 0.01)
 LIMITS = ROBOT.limits[list(SCANNER_COMMANDS)]  # of the maze's robot
+EXACT = ExactScans(jnp.asarray(MAZE.rectangles), full_circle())
+ENCODER = new_encoder(
+    jax.random.key(0), 64, 1.5, VisitedPlaces.of(MAZE.space.sample(np.random.default_rng(0), 50), 0.02), 8, 2
+)
 WITHOUT = ("oracle", "random", "dist_bug")  # its pose is observed; no estimate; an estimate without a belief
 STATING = [name for name, kind in AGENTS.items() if not kind.needs_pose and name not in WITHOUT] + ["policy"]
 SLOW = [name for name in STATING if name != "dead_reckoning"]  # their filter reads images: it has to be compiled
@@ -49,8 +59,10 @@ def run(name):
     learned = voxel_map(shapely.box(0.05, 0.05, 5.95, 3.95), [])
     keywords = {"max_episode_steps": STEPS, "observe_pose": agent.needs_pose, "disable_env_checker": True}
     if robot == "disc":
-        env = gym.make("vssm_gym/LidarMaze-v0", scene=MAZE.apartment, **keywords)
-        row = run_episode(env, MAZE.sampler, agent, TASK, seed=3, voxel_map=None, noise=NOISE, limits=LIMITS)
+        goal = "scan" if getattr(agent.agent, "goal_by_scan", False) else "position"
+        env = gym.make("vssm_gym/LidarMaze-v0", scene=MAZE.apartment, goal=goal, **keywords)
+        given = {"scan_model": EXACT, "scan_encoder": ENCODER, "voxel_map": None}
+        row = run_episode(env, MAZE.sampler, agent, TASK, seed=3, noise=NOISE, limits=LIMITS, **given)
     elif robot == "car":
         env = gym.make("vssm_gym/CarNav-v0", scene=ROOMS, camera=SMALL, images=not agent.needs_pose, **keywords)
         target = CarTask(id=0, scene=ROOMS.name, start=(0.8, 2.6, 0.3), goal=(2.2, 0.7, 2.5))

@@ -35,6 +35,9 @@ from vssm_gym.eval.studies.page import write_study
 from vssm_gym.eval.sweep.config import load_config
 from vssm_gym.eval.sweep.merge import merge_sweeps
 from vssm_gym.geometry.camera import Camera
+from vssm_gym.inference.scan_encoder.encoder_file import load_encoder, save_encoder
+from vssm_gym.inference.scan_encoder.network import new_encoder
+from vssm_gym.inference.scan_encoder.prior import VisitedPlaces
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.learned_file import calibrated, load_transition, save_transition
@@ -238,6 +241,8 @@ def _learned(folder: Path) -> None:
     save_transition(folder / "learned.npz", transition, "car", {"updates": 1})
 
 
+_PLACES = VisitedPlaces.of(np.array([[0.2, 0.3], [0.7, 0.6]]), 0.02)
+
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene_file("scene.json", (ASSETS / "oak.json").read_bytes()), _scene("scene.json")),
     "houseexpo": Reader(
@@ -258,6 +263,10 @@ READERS: dict[str, Reader] = {
         lambda d: policy_file.save(d / "policy.npz", straight()), lambda d: policy_file.load(d / "policy.npz")
     ),
     "learned transition": Reader(_learned, lambda d: load_transition(d / "learned.npz")),
+    "scan encoder": Reader(
+        lambda d: save_encoder(d / "encoder.npz", new_encoder(jax.random.key(0), 8, 1.5, _PLACES, 8, 2)),
+        lambda d: load_encoder(d / "encoder.npz", _PLACES, 1.5),
+    ),
     "euroc flight": Reader(lambda d: write_euroc(d, circling(1.0)) and None, read_dynamics),
     "tasks": Reader(
         lambda d: navigation.save(navigation.task_set(load_scene("oak"), _robot(), "test", 5), d / "tasks.json"),

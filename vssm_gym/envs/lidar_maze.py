@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 
 from vssm_gym.envs.maze_noise import motion_noise, range_noise, strip_noise
 from vssm_gym.envs.phased import PhasedEnv
-from vssm_gym.envs.physics.planar import clearance, slide
+from vssm_gym.envs.physics.planar import clearance, scan, slide
 from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.rendering.frames import Frames
 from vssm_gym.envs.rendering.maze_paint import painted
@@ -59,6 +59,8 @@ class LidarMazeEnv(PhasedEnv):
             their starts. A task passed in ``reset(options={"task": task})`` comes before both.
         end_on: ``stop``: the episode ends at the agent's stop, where success is evaluated; ``reach``: it ends when the
             task is done and ``stop`` means nothing.
+        goal: how it is observed: its ``position``, or the ``scan`` that the robot's own scanner would take there,
+            without noise, with a heading that the task fixes.
         reward: ``dense`` (metres gained, a cost a step, a success reward) or ``sparse`` (success).
         render_mode: ``rgb_array``, ``human`` (a window) or None.
         captions: if True, a strip of text lies below each picture; a window always shows it.
@@ -79,6 +81,7 @@ class LidarMazeEnv(PhasedEnv):
         task: Literal["navigate", "explore"] = "navigate",
         tasks: TaskSet | None = None,
         end_on: Literal["stop", "reach"] = "stop",
+        goal: Literal["position", "scan"] = "position",
         reward: Literal["dense", "sparse"] = "dense",
         render_mode: str | None = None,
         captions: bool = False,
@@ -87,6 +90,7 @@ class LidarMazeEnv(PhasedEnv):
     ) -> None:
         choose("LidarMaze", "sensor", sensor, ("lidar", "camera"))
         choose("LidarMaze", "task", task, ("navigate", "explore"))
+        choose("LidarMaze", "goal", goal, ("position", "scan"))
         choose("LidarMaze", "end_on", end_on, ("stop", "reach"))
         choose("LidarMaze", "reward", reward, ("dense", "sparse"))
         if isinstance(beams, bool) or not isinstance(beams, int) or not 1 <= beams <= 4096:
@@ -109,7 +113,10 @@ class LidarMazeEnv(PhasedEnv):
         )
         self.sensor = sensor
         sensors: list[Sensor[HasPlanar]] = [self._eye(sensor_noise)]
-        if task == "navigate":
+        if task == "navigate" and goal == "scan":
+            space = gym.spaces.Box(0.0, LONGEST_RANGE, (beams,), np.float32)
+            sensors.append(TaskObservation("goal_scan", space, self._goal_scan))
+        elif task == "navigate":
             sensors.append(TaskObservation("goal", gym.spaces.Box(0.0, 1.0, (2,), np.float32), self._goal))
         if observe_pose:
             sensors.append(PoseSensor(np.array([[0.0, 0.0, -np.pi], [1.0, 1.0, np.pi]])))
@@ -212,6 +219,13 @@ class LidarMazeEnv(PhasedEnv):
         """Return the goal, as observed."""
         assert self.task is not None
         return np.asarray(self.task.goal, dtype=np.float32)
+
+    def _goal_scan(self) -> np.ndarray:
+        """Return the exact scan at the goal; its heading is drawn from the task."""
+        assert self.task is not None
+        drawn = np.random.default_rng([self.task.id, *np.frombuffer(np.array(self.task.goal).tobytes(), np.uint32)])
+        pose = np.array([[*self.task.goal, drawn.uniform(-np.pi, np.pi)]])
+        return np.minimum(scan(pose, self.maze.rectangles, self.beams)[0], LONGEST_RANGE).astype(np.float32)
 
     def _drive(self, command: np.ndarray) -> bool:
         """Execute a command with noise, sliding along walls; return True on collision."""

@@ -9,6 +9,23 @@ OF_MPC = ("tests/planning/car/test_mpc_objective.py::test_values_are_those_of_th
 
 PLANNING = (
     Mutant(
+        "a-motion-need-not-be-seen",
+        "vssm_gym/planning/scans/search.py",
+        "length + edges.need - edges.slack",
+        "0.0",
+        (
+            "tests/planning/scans/test_hybrid_astar.py"
+            "::test_a_place_behind_a_wall_is_not_entered_whatever_is_predicted_there",
+        ),
+    ),
+    Mutant(
+        "a-drive-needs-no-clearance",
+        "vssm_gym/planning/scans/hybrid_astar.py",
+        "need = radius + margin",
+        "need = 0.5 * radius + margin",
+        ("tests/planning/scans/test_hybrid_astar.py::test_drives_keep_the_exact_clearance",),
+    ),
+    Mutant(
         "an-edge-costs-as-its-end",
         "vssm_gym/planning/grid_search/astar.py",
         "length *= 0.5 * (weight[i, j] + weight[i + di, j + dj])",

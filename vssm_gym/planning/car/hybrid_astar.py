@@ -203,16 +203,7 @@ def _arrivals(obstacles: FootprintLevels, goal: np.ndarray, headings: int) -> np
 def _tree(obstacles: FootprintLevels, cell: float, headings: int) -> Tree:
     """Return an empty search over the whole table."""
     low = obstacles.origin - 0.5 * obstacles.resolution
-    extent = np.array(obstacles.levels.shape[:2]) * obstacles.resolution
-    nx, ny = (math.ceil(e / cell - 1e-9) for e in extent)
-    n = nx * ny * headings + 1
-    ahead = np.full(n, np.nan)
-    return Tree(
-        *((nx, ny, headings), float(cell), float(low[0]), float(low[1])),
-        *(np.full(n, np.inf), np.empty(n), ahead, np.zeros(n)),
-        *(np.full(n, -1, np.int32), np.full(n, -1, np.int16), np.full(n, -1, np.int32)),
-        *(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(4, np.int64), np.zeros((5, 2))),
-    )
+    return hybrid_search.empty_tree(low, np.array(obstacles.levels.shape[:2]) * obstacles.resolution, cell, headings)
 
 
 def _driven(tree: Tree, moves: Moves, radius: float, part: float, node: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit
 
 from vssm_gym.geometry.arc import pose_after
@@ -65,6 +66,26 @@ class Tree(NamedTuple):
     heap: np.ndarray
     counts: np.ndarray  # size of the heap, closed nodes, the closed node with the least still to come, shots so far
     curve: np.ndarray  # (5, 2) lengths (m) and steerings of the curve to the goal
+
+
+def empty_tree(low: Float[np.ndarray, "2"], extent: Float[np.ndarray, "2"], cell: float, headings: int) -> Tree:
+    """Return a tree without nodes over a rectangle of the plane.
+
+    Args:
+        low: its lowest corner, m.
+        extent: along x and y, m.
+        cell: of the search, m.
+        headings: of the search.
+    """
+    nx, ny = (math.ceil(e / cell - 1e-9) for e in extent)
+    n = nx * ny * headings + 1
+    ahead = np.full(n, np.nan)
+    return Tree(
+        *((nx, ny, headings), float(cell), float(low[0]), float(low[1])),
+        *(np.full(n, np.inf), np.empty(n), ahead, np.zeros(n)),
+        *(np.full(n, -1, np.int32), np.full(n, -1, np.int16), np.full(n, -1, np.int32)),
+        *(np.empty((n, 3)), np.empty(n, np.int32), np.zeros(4, np.int64), np.zeros((5, 2))),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -167,8 +188,8 @@ def cheapest_curve(
 
 
 @njit(cache=True, nogil=True)
-def _lower(tree, node, cost, key):
-    """Lower the cost and the key of a node and enter it into the heap, or move it up there."""
+def lower(tree, node, cost, key):
+    """Lower the cost and the key of a node, and enter it into the heap, or move it up there."""
     tree.cost[node], tree.key[node] = cost, key
     if tree.place[node] == -1:
         tree.place[node] = tree.counts[0]
@@ -189,7 +210,7 @@ def _shoot(tree, lookup, goal, moves, radius, costs, node):
         if total < bound:
             tree.parent[last] = node
             tree.pose[last] = goal.poses[k]
-            _lower(tree, last, tree.cost[node] + total, tree.cost[node] + total)
+            lower(tree, last, tree.cost[node] + total, tree.cost[node] + total)
 
 
 @njit(cache=True, nogil=True)
@@ -201,7 +222,7 @@ def open_start(tree: Tree, lookup: Lookup, goal: Goal, radius: float, start: np.
         return False
     tree.pose[node], tree.escape[node], tree.ahead[node] = start, escape, ahead
     tree.counts[2] = node
-    _lower(tree, node, 0.0, ahead)
+    lower(tree, node, 0.0, ahead)
     return True
 
 
@@ -239,7 +260,7 @@ def _expand(tree, lookup, goal, moves, radius, costs, node):
             continue
         tree.parent[other], tree.move[other], tree.escape[other] = node, m, escape
         tree.pose[other, 0], tree.pose[other, 1], tree.pose[other, 2] = x, y, heading
-        _lower(tree, other, cost, cost + tree.ahead[other])
+        lower(tree, other, cost, cost + tree.ahead[other])
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,1 @@
+"""Navigate by a model of laser scans: the pose by particles, plans by hybrid A*, and following them."""
