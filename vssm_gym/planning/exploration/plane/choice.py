@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
@@ -36,7 +37,8 @@ class PlaneChoiceConfig:
     Args:
         search: of random control sequences.
         information: the estimate.
-        paths: to places all over free space, at most; 0: random sequences alone, as published.
+        places: all over free space, at most.
+        paths: to the best of them; 0: random sequences alone, as published.
         spacing: of the places, m.
         most_penalty: of a sequence that may be driven.
         arriving: steps that a path takes beside its length.
@@ -44,7 +46,8 @@ class PlaneChoiceConfig:
 
     search: ControlSearchConfig = field(default_factory=ControlSearchConfig)
     information: SampledInformationConfig = field(default_factory=SampledInformationConfig)
-    paths: int = 24
+    places: int = 100
+    paths: int = 12
     spacing: float = 0.1
     most_penalty: float = 2.0
     arriving: float = 5.0
@@ -91,46 +94,84 @@ def choose(
         dt: length of a step, s.
         config: sizes.
     """
-    paths, ends = _paths(roads, config)
-    given = key, model, seen, transition, belief, jnp.asarray(limits, jnp.float32), dt, jnp.asarray(ends, jnp.float32)
-    controls, penalty, nats = (np.asarray(a) for a in _judge(*given, config))
-    n, steps = config.search.candidates, float(config.search.horizon)
-    value = nats[:n] / steps
-    value = np.where(penalty <= config.most_penalty, value, -np.inf)
-    lengths = np.array([np.hypot(*np.diff(path, axis=0).T).sum() for path in paths])
-    along = nats[n : n + len(paths)] / (lengths / limits[1] + config.arriving)
-    every = np.concatenate([value, along])
+    given = model, transition, belief, jnp.asarray(limits, jnp.float32), dt
+    by_place, by_candidate = jax.random.split(key)
+    paths, steps = _paths(by_place, model, belief, roads, limits, config)
+    ends = jnp.asarray(_ends(paths, config), jnp.float32)
+    controls, penalty, nats = (np.asarray(a) for a in _judge(by_candidate, seen, *given, ends, config))
+    n = config.search.candidates
+    value = np.where(penalty <= config.most_penalty, nats[:n] / config.search.horizon, -np.inf)
+    every = np.concatenate([value, nats[n : n + len(paths)] / steps])
     if not np.isfinite(every).any():
         return None
     k = int(np.argmax(every))
-    of_path = k >= n
-    return PlaneChoice(
-        None if of_path else controls[k], paths[k - n] if of_path else None, float(nats[k]), float(every[k])
-    )
+    path = paths[k - n] if k >= n else None
+    return PlaneChoice(controls[k] if path is None else None, path, float(nats[k]), float(every[k]))
 
 
 def _paths(
-    roads: PlaneRoads, config: PlaneChoiceConfig
-) -> tuple[list[np.ndarray], Float[np.ndarray, "paths legs 2"]]:
-    """Return paths to places, and the points near the end of each at which the robot is to measure."""
-    legs, most = config.search.legs, config.paths
-    ends = np.zeros((most, legs, 2))
-    places = roads.places(config.spacing)
-    if len(places) > most:  # all over the space that can be reached, near and far
-        places = places[np.unique(np.linspace(0, len(places) - 1, most).round().astype(int))]
-    paths = [path for place in places if len(path := roads.path_to(place)) > 1]
+    key: PRNGKeyArray,
+    model: ScanModel,
+    belief: GaussianBelief,
+    roads: PlaneRoads,
+    limits: Float[np.ndarray, "2"],
+    config: PlaneChoiceConfig,
+) -> tuple[list[np.ndarray], Float[np.ndarray, "paths"]]:
+    """Return the paths to the places of most information a step, and the steps of each, its first turn included."""
+    places = roads.places(config.spacing)[: config.places]
+    if not (config.paths and len(places)):
+        return [], np.empty(0)
+    filled = np.zeros((config.places, 1, 2), np.float32)
+    filled[: len(places), 0] = places
+    nats = np.asarray(_judge_places(key, model, belief, jnp.asarray(filled), config))[: len(places)]
+    best = np.argsort(-nats / (roads.lengths_to(places) / limits[1] + config.arriving), kind="stable")
+    paths = [path for k in best[: config.paths] if len(path := roads.path_to(places[k])) > 1]
+    heading, steps = float(belief.mean[2]), np.empty(len(paths))
     for k, path in enumerate(paths):
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
-        wanted = along[-1] - config.spacing * np.arange(legs)[::-1]
+        ahead = path[min(len(path) - 1, 3)] - path[0]
+        turn = abs(wrap_angle(np.arctan2(ahead[1], ahead[0]) - heading))
+        steps[k] = _along(path)[-1] / limits[1] + float(turn) / limits[0] + config.arriving
+    return paths, steps
+
+
+def _along(path: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+
+
+def _ends(paths: list[np.ndarray], config: PlaneChoiceConfig) -> Float[np.ndarray, "paths legs 2"]:
+    """Return the points near the end of each path at which the robot is to measure; rows of zeros fill the rest."""
+    ends = np.zeros((config.paths, config.search.legs, 2))
+    for k, path in enumerate(paths):
+        along = _along(path)
+        wanted = along[-1] - config.spacing * np.arange(config.search.legs)[::-1]
         ends[k] = path[np.clip(np.searchsorted(along, wanted), 0, len(path) - 1)]
-    return paths, ends
+    return ends
+
+
+@partial(jax.jit, static_argnames="config")
+def _judge_places(
+    key: PRNGKeyArray, model: ScanModel, belief: GaussianBelief, places: Array, config: PlaneChoiceConfig
+) -> Array:
+    """Return the information of one scan at each place."""
+    return scan_information(key, model, _standing(key, belief, places, config), config.information)
+
+
+def _standing(key: PRNGKeyArray, belief: GaussianBelief, places: Array, config: PlaneChoiceConfig) -> Array:
+    """Return draws of poses at places ``(n, times, 2)``, facing x.
+
+    A path is followed: the pose there is as uncertain as it is here, and one draw errs alike all along.
+    """
+    off = belief.sample(key, config.information.draws) - belief.mean
+    off = off.at[:, 2].set(jnp.arctan2(jnp.sin(off[:, 2]), jnp.cos(off[:, 2])))
+    there = jnp.concatenate([places, jnp.zeros((*places.shape[:-1], 1))], axis=-1)
+    return there[:, None] + off[None, :, None]
 
 
 @partial(jax.jit, static_argnames="config")
 def _judge(
     key: PRNGKeyArray,
-    model: ScanModel,
     seen: ScanModel,
+    model: ScanModel,
     transition: Transition,
     belief: GaussianBelief,
     limits: Array,
@@ -146,9 +187,5 @@ def _judge(
     controls = controls_of(turns, search, limits)
     poses = trajectories(by_pose, transition, belief, controls, draws, dt)
     poses = facing_x(poses[:, :, search.steps - 1 :: search.steps])
-    # A path is followed: the pose there is as uncertain as it is here, and one draw errs alike all along.
-    off = belief.sample(jax.random.fold_in(by_pose, 1), draws) - belief.mean
-    off = off.at[:, 2].set(jnp.arctan2(jnp.sin(off[:, 2]), jnp.cos(off[:, 2])))
-    there = jnp.concatenate([ends, jnp.zeros((*ends.shape[:-1], 1))], axis=-1)
-    every = jnp.concatenate([poses, there[:, None] + off[None, :, None]], axis=0)
+    every = jnp.concatenate([poses, _standing(by_pose, belief, ends, config)], axis=0)
     return controls, least, scan_information(by_map, model, every, config.information)
