@@ -50,6 +50,7 @@ COMMANDS: dict[str, Any] = {
         "relocalisation": "study.relocalisation",
         "smoothing": "study.smoothing",
         "pose-flow": "study.pose_flow",
+        "maze-exploration": "study.maze_exploration",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",
