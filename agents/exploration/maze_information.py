@@ -29,7 +29,7 @@ class MazeInformationConfig:
     beams: int = 16  # of the scans whose information is estimated
     scale: float = 0.005  # of a reading's Laplace noise
     free_path: float = 5.0  # cells of unknown space that a beam passes
-    executed: int = 10  # steps of a choice that are driven before the next one
+    executed: int = 16  # steps of a choice that are driven before the next one
     room: float = 0.02  # around the robot's centre that a path keeps
     margin: float = 0.001  # beyond the robot's radius that must be free ahead
 

@@ -47,7 +47,7 @@ class PlaneChoiceConfig:
     search: ControlSearchConfig = field(default_factory=ControlSearchConfig)
     information: SampledInformationConfig = field(default_factory=SampledInformationConfig)
     places: int = 100
-    paths: int = 12
+    paths: int = 8
     spacing: float = 0.1
     most_penalty: float = 2.0
     arriving: float = 5.0

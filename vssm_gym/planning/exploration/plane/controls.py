@@ -35,10 +35,10 @@ class ControlSearchConfig:
         spread: standard deviation of a perturbation, as a share of the largest turn.
     """
 
-    candidates: int = 16
+    candidates: int = 12
     legs: int = 4
     steps: int = 5
-    rounds: int = 6
+    rounds: int = 4
     draws: int = 4
     clear: float = 0.02
     width: float = 0.003

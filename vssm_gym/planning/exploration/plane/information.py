@@ -36,8 +36,8 @@ class SampledInformationConfig:
         fineness: s, m.
     """
 
-    draws: int = 12
-    maps: int = 3
+    draws: int = 10
+    maps: int = 2
     neighbour: int = 3
     fineness: float = 0.005
 
