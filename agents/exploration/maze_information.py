@@ -1,4 +1,4 @@
-"""Explore a maze where scans will say most about the map a step, by samples of the model alone (eq. P50, P51, P52).
+"""Explore a maze where scans will say most about the map a step, by samples of the model alone (eq. P45, P46, P47).
 
 ``maze_information`` infers its pose and a map of the plane from scans (PRISM in the plane) and chooses among random
 control sequences and paths by ``I(M; x_1:T | u) / steps``. Of the model it uses the contract of models of scans alone:
@@ -102,7 +102,9 @@ class MazeInformationAgent:
     def _choose(self, pose: np.ndarray) -> PlaneChoice | None:
         c, mapper = self._config, self._mapper
         key, self._choices = jax.random.fold_in(self._key, self._choices), self._choices + 1
-        known, seen = (OccupancyScans(m, self._scanner, c.scale, free_path=c.free_path) for m in (mapper.map, mapper.seen))
+        known, seen = (
+            OccupancyScans(m, self._scanner, c.scale, free_path=c.free_path) for m in (mapper.map, mapper.seen)
+        )
         roads = PlaneRoads.of(mapper.seen, pose[:2], c.room)
         return choose(key, known, seen, mapper.transition, mapper.belief, roads, self._limits, mapper.dt, c.choice)
 

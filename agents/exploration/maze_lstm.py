@@ -11,7 +11,6 @@ import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
 from vssm_gym.agents.shared.planar.lstm_policy import LstmPolicy, load_lstm, read_inputs
-from vssm_gym.errors import InputError
 from vssm_gym.files.shipped import ASSETS
 
 LONGEST_READ = 1.5  # m, that a missing reading counts as

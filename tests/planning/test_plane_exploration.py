@@ -108,7 +108,7 @@ def test_controls_keep_the_limits():
     controls = controls_of(random_turns(jax.random.key(0), config, LIMITS[0]), config, jnp.asarray(LIMITS))
     assert controls.shape == (config.candidates, config.horizon, 3)
     assert float(jnp.abs(controls[..., 0]).max()) <= LIMITS[0] + 1e-6
-    assert 0.0 <= float(controls[..., 2].min()) and float(controls[..., 2].max()) <= LIMITS[1] + 1e-6
+    assert float(controls[..., 2].min()) >= 0.0 and float(controls[..., 2].max()) <= LIMITS[1] + 1e-6
 
 
 def test_roads_keep_away_from_walls():

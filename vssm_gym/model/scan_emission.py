@@ -59,8 +59,8 @@ def _crossed(m: PlanarMap, xy: Array, u: Array, max_range: Array) -> tuple[Array
 
     zeros = jnp.zeros(beams)
     start = (zeros, zeros, zeros, zeros - 1.0, jnp.zeros(beams, bool), jnp.int32(0))
-    _, _, near, far, _, _ = jax.lax.while_loop(going, advance, start)
-    return near, far
+    ended = jax.lax.while_loop(going, advance, start)  # type: ignore[arg-type]  # a tuple of six
+    return ended[2], ended[3]
 
 
 class OccupancyScans(eqx.Module):

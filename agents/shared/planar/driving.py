@@ -8,7 +8,9 @@ from jaxtyping import Float
 from vssm_gym.geometry.transforms import wrap_angle
 
 ALIGNED = math.radians(15.0)  # heading error up to which the robot drives while it turns
-MINDED_COSINE = 0.5  # of a reading's bearing from the motion: what is beside the robot is no obstacle, whatever noise says
+MINDED_COSINE = (
+    0.5  # of a reading's bearing from the motion: what is beside the robot is no obstacle, whatever noise says
+)
 LEAVES = 0.1  # m of free space beyond which one direction out of a tight place is as good as another
 LOOKS_AHEAD = 0.03  # m along the path, to the point that it drives at
 

@@ -125,7 +125,8 @@ def load_lstm(path: Path) -> LstmPolicy:
         arrays = {name: np.asarray(as_float32(stored.read(name), path, name), np.float64) for name in shapes}
     if not (arrays["std"] > 0.0).all():
         raise InputError(path, "std", "numbers above 0")
-    return LstmPolicy(*sizes, **arrays, trained=header.get("trained", {}))
+    numbers = arrays["parameters"], arrays["mean"], arrays["std"]
+    return LstmPolicy(sizes[0], sizes[1], *numbers, header.get("trained", {}))
 
 
 def _sigmoid(x: Any) -> Any:

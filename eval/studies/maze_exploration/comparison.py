@@ -44,7 +44,8 @@ def lead(rows: Sequence[dict[str, Any]], other: str, mazes: Sequence[str], what:
     keys = sorted(found[LEADER].keys() & found[other].keys())
     at = [round(share * (len(found[LEADER][key]) - 1)) for key in keys]
     return bootstrap_mean(
-        [found[LEADER][key][k] - found[other][key][k] for key, k in zip(keys, at, strict=True)], [key[0] for key in keys]
+        [found[LEADER][key][k] - found[other][key][k] for key, k in zip(keys, at, strict=True)],
+        [key[0] for key in keys],
     )
 
 
@@ -57,11 +58,14 @@ def study(rows: Sequence[dict[str, Any]], setting: dict[str, Any]) -> Study:
     for agent in agents:
         own = [row for row in rows if row["agent"] == agent and row["maze"] in judged]
         places = [row["maze"] for row in own]
-        at = {share: [row["coverage"][round(share * (len(row["coverage"]) - 1))] for row in own] for share in (0.3, 1.0)}
+        at = {
+            share: [row["coverage"][round(share * (len(row["coverage"]) - 1))] for row in own] for share in (0.3, 1.0)
+        }
         nats = [row["nats"][-1] / 1000.0 for row in own]
         cover = {share: bootstrap_mean(values, places) for share, values in at.items()}
         leads = {
-            what: {share: lead(rows, agent, judged, what, share) for share in (0.3, 1.0)} for what in ("coverage", "nats")
+            what: {share: lead(rows, agent, judged, what, share) for share in (0.3, 1.0)}
+            for what in ("coverage", "nats")
         }
         ahead = ["", ""] if agent == LEADER else [leads["coverage"][share].text() for share in (0.3, 1.0)]
         errors = [row["location_error_mean"] for row in own if row["location_error_mean"] is not None]
@@ -160,9 +164,8 @@ def _answer(rows: Sequence[dict[str, Any]], agents: Sequence[str], judged: Seque
     said = [f"In {len(judged)} mazes the explorer by information visits"]
     own = curves(rows, LEADER, list(judged), "coverage")[:, -1].mean()
     said.append(f"{own:.0%} of the tiles.")
-    for other in agents:
-        if other != LEADER:
-            said.append(f"Its lead over {NAMES[other]}: {lead(rows, other, judged, 'coverage', 1.0).text()}.")
+    leads = {other: lead(rows, other, judged, "coverage", 1.0).text() for other in agents if other != LEADER}
+    said += [f"Its lead over {NAMES[other]}: {text}." for other, text in leads.items()]
     return " ".join(said)
 
 

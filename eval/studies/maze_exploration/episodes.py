@@ -56,11 +56,11 @@ def explore(agent: Agent, maze: str, seed: int, steps: int, noise: str, sensor_n
     if watcher is not None:
         watcher.reset(context, observation)
     coverage, nats, errors, planning = [], [], [], []
-    collisions = travelled = 0
+    collisions, travelled, sent = 0, 0.0, np.zeros(2)
     before = np.array(info["pose"])
     for k in range(steps + 1):
         if watcher is not None and k > 0:
-            watcher.observe(decision.action[:2], observation)  # noqa: F821  (of the step before)
+            watcher.observe(sent, observation)
         if k == steps:
             break
         decision = decide(agent, observation)
@@ -71,6 +71,7 @@ def explore(agent: Agent, maze: str, seed: int, steps: int, noise: str, sensor_n
             errors.append(float(np.hypot(*(decision.pose - info["pose"])[:2])))
         if "planning" in decision.latency:
             planning.append(decision.latency["planning"])
+        sent = decision.action[:2]
         observation, _, _, _, info = env.step(decision.action)
         collisions += int(info["collision"])
         travelled += float(np.hypot(*(info["pose"] - before)[:2]))
@@ -95,5 +96,10 @@ def explore(agent: Agent, maze: str, seed: int, steps: int, noise: str, sensor_n
 
 @lru_cache(maxsize=1)
 def _environment(maze: str, steps: int, noise: str, sensor_noise: str) -> gym.Env:
-    keywords = {"noise": noise, "sensor_noise": sensor_noise, "reward": "sparse", "max_episode_steps": steps + 1}
+    keywords: dict[str, Any] = {
+        "noise": noise,
+        "sensor_noise": sensor_noise,
+        "reward": "sparse",
+        "max_episode_steps": steps + 1,
+    }
     return gym.make("vssm_gym/LidarMaze-v0", scene=maze, task="explore", disable_env_checker=True, **keywords)

@@ -6,7 +6,7 @@ The step is that of :class:`~vssm_gym.envs.lidar_maze.LidarMazeEnv`: execution n
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numba import njit
 
 from vssm_gym.envs.physics.planar import scan, slide
@@ -87,9 +87,7 @@ def rollouts(
             turn, step = limits[0] * math.tanh(turn), limits[1] * _logistic(step)
             e = motion[k, t, 0]
             moved = max(0.0, step + motion[k, t, 1]) if step > 0.0 else 0.0
-            x, y, _ = slide(
-                x, y, moved * math.cos(heading + e), moved * math.sin(heading + e), radius, rectangles
-            )
+            x, y, _ = slide(x, y, moved * math.cos(heading + e), moved * math.sin(heading + e), radius, rectangles)
             if turn != 0.0:
                 heading += math.copysign(max(0.0, abs(turn) + e), turn)
         coverage[k] = visited.sum() / max(1, counted.sum())
@@ -120,15 +118,8 @@ def draws(
     return np.repeat(moved, 2, axis=0), np.repeat(read, 2, axis=0)
 
 
-def starts_of(
-    rng: np.random.Generator, places: Float[np.ndarray, "places 2"], n: int
-) -> Float[np.ndarray, "n 3"]:
+def starts_of(rng: np.random.Generator, places: Float[np.ndarray, "places 2"], n: int) -> Float[np.ndarray, "n 3"]:
     """Draw start poses at given places, the same for the two sides of a direction."""
     half = n // 2
     at = places[rng.integers(len(places), size=half)]
     return np.repeat(np.column_stack([at, rng.uniform(-np.pi, np.pi, half)]), 2, axis=0)
-
-
-def counted_tiles(counted: Bool[np.ndarray, "tiles tiles"]) -> Bool[np.ndarray, "tiles tiles"]:
-    """Return the tiles as the compiled loop reads them."""
-    return np.ascontiguousarray(counted)

@@ -1,4 +1,4 @@
-"""Climb the reward of a vector of parameters by augmented random search, V2-t (Mania, Guy and Recht, 2018; eq. P53).
+"""Climb the reward of a vector of parameters by augmented random search, V2-t (Mania, Guy and Recht, 2018; eq. P48).
 
     r_k+- = R(theta +- nu delta_k),    delta_k ~ N(0, I)
     theta <- theta + alpha / (b s) sum_k (r_k+ - r_k-) delta_k    over the b directions with the largest max(r_k+, r_k-)

@@ -1,16 +1,15 @@
 """Train an LSTM to visit the tiles of one maze, by augmented random search on their share (the baseline of DVBF-LM).
 
-    python -m vssm_gym.training.random_search.train_maze_lstm pillars-v1 OUT.npz --iterations 1500
+python -m vssm_gym.training.random_search.train_maze_lstm pillars-v1 OUT.npz --iterations 1500
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
-from vssm_gym.agents.shared.planar.lstm_policy import LstmPolicy, save_lstm, size_of
+from vssm_gym.agents.shared.planar.lstm_policy import LstmPolicy, size_of
 from vssm_gym.envs.lidar_maze import LONGEST_RANGE
 from vssm_gym.envs.maze_noise import motion_noise, range_noise
 from vssm_gym.envs.tasks.maze_objectives import MazeCoverage
@@ -38,7 +37,7 @@ class LstmTraining:
         seed: of everything.
     """
 
-    iterations: int = 1500
+    iterations: int = 600
     steps: int = 1000
     inputs: int = 16
     hidden: int = 16
@@ -48,9 +47,7 @@ class LstmTraining:
     seed: int = 0
 
 
-def train(
-    maze: str, config: LstmTraining, on_check: Callable[[int, float, float], None] | None = None
-) -> LstmPolicy:
+def train(maze: str, config: LstmTraining, on_check: Callable[[int, float, float], None] | None = None) -> LstmPolicy:
     """Return the policy with the highest coverage in checks along the training.
 
     Args:
@@ -98,21 +95,3 @@ def train(
         "seconds": round(time.perf_counter() - began, 1),
     }
     return LstmPolicy(config.inputs, config.hidden, theta, moments.mean, moments.std, trained)
-
-
-def main() -> None:
-    """Train one policy and write it to a file."""
-    import argparse
-
-    parser = argparse.ArgumentParser(description="Train an LSTM to visit the tiles of a maze.")
-    parser.add_argument("maze")
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--iterations", type=int, default=LstmTraining.iterations)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    show = lambda k, reward, found: print(f"{k:5d}  rollouts {reward:.3f}  check {found:.3f}", flush=True)
-    save_lstm(given.out, train(given.maze, LstmTraining(iterations=given.iterations, seed=given.seed), show))
-
-
-if __name__ == "__main__":
-    main()

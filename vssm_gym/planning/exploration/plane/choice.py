@@ -1,4 +1,4 @@
-"""Choose where to drive next: the trajectory with most information a step, of random ones and of paths (eq. P52).
+"""Choose where to drive next: the trajectory with most information a step, of random ones and of paths (eq. P47).
 
     value = I(M; x_1:T | u_1:T) / steps
 

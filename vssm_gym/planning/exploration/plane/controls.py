@@ -1,4 +1,4 @@
-"""Draw random control sequences and move them away from obstacles, in the model alone (eq. P51).
+"""Draw random control sequences and move them away from obstacles, in the model alone (eq. P46).
 
     u ~ turns that hold for a few steps, slower where they are sharp
     penalty(u) = E_z sum_t sum_b sigmoid((r_0 - r_b(z_t)) / w),    z_1:T ~ q(z_0) prod p(z_t | z_t-1, u_t)
@@ -57,7 +57,9 @@ class ControlSearchConfig:
         return self.legs * self.steps
 
 
-def random_turns(key: PRNGKeyArray, config: ControlSearchConfig, most: float) -> Float[Array, "candidates legs"]:
+def random_turns(
+    key: PRNGKeyArray, config: ControlSearchConfig, most: float | Array
+) -> Float[Array, "candidates legs"]:
     """Draw the turn of each leg, rad a step: the first as sharp as it may be, so that sequences leave all around."""
     u = jax.random.uniform(key, (config.candidates, config.legs), minval=-1.0, maxval=1.0)
     gentle = u**3

@@ -1,4 +1,4 @@
-"""Estimate what scans along a trajectory will say about the map, from ancestral samples alone (eq. P50).
+"""Estimate what scans along a trajectory will say about the map, from ancestral samples alone (eq. P45).
 
     M_i ~ q(M),    z_1:T ~ q(z_0) prod p(z_t | z_t-1, u_t),    x_t ~ p(x_t | z_t, M_i),    y = x + e,  e ~ N(0, s^2)
     I = sum_b H[y_b,1:T] - E_M H[y_b,1:T | M],    both by nearest neighbours (eq. P44)

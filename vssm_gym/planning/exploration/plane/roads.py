@@ -1,6 +1,6 @@
 """Find where a disc can drive in a planar map, how far everything is, and the way there (eq. P6).
 
-    occupied: the mean occupancy of an observed cell exceeds 0      free: it does not      unknown: never observed
+occupied: the mean occupancy of an observed cell exceeds 0      free: it does not      unknown: never observed
 """
 
 from dataclasses import dataclass
@@ -45,8 +45,9 @@ class PlaneRoads:
         occupied = cells == OCCUPIED
         headroom = cell * ndimage.distance_transform_edt(~occupied) if occupied.any() else np.full(cells.shape, np.inf)
         passable = (cells == FREE) & (headroom >= room)
-        at = plan.centres(np.stack(np.indices(cells.shape), axis=-1).reshape(-1, 2)).reshape(*cells.shape, 2)
-        near = np.linalg.norm(at - xy, axis=-1) <= NEAR_START
+        low, high = plan.origin - xy, plan.origin - xy + cell * (np.array(cells.shape) - 1)
+        x, y = (np.linspace(low[a], high[a], cells.shape[a]) for a in (0, 1))
+        near = np.hypot(x[:, None], y[None]) <= NEAR_START
         here = headroom[tuple(np.clip(plan.index(xy[None])[0], 0, np.array(cells.shape) - 1))]
         passable |= near & (cells == FREE) & (headroom >= min(room, here - cell))
         gx, gy = (np.asarray(xy, np.float64) - plan.origin) / cell
@@ -95,6 +96,6 @@ def _way_back(distance: np.ndarray, i: int, j: int) -> np.ndarray:
                 slope = (distance[a, b] - distance[i, j]) / LENGTHS[m]
                 if slope < best:
                     best, to_i, to_j = slope, a, b
-        if to_i == i and to_j == j or count == distance.size:
+        if (to_i == i and to_j == j) or count == distance.size:
             return way[:count]
         i, j = to_i, to_j
