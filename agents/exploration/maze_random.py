@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vssm_gym.agents.base import AgentContext, Decision, Observation
-from vssm_gym.agents.shared.planar.driving import ALIGNED, free_ahead
+from vssm_gym.agents.shared.planar.driving import ALIGNED_ENOUGH, free_ahead
 from vssm_gym.geometry.transforms import wrap_angle
 
 
@@ -46,10 +46,10 @@ class MazeRandomAgent:
         """Turn to the leg's direction, or drive along it; draw another one where it is over or blocked."""
         scan = np.asarray(observation["scan"], np.float64)
         turn, step = float(self._limits[0]), float(self._limits[1])
-        if abs(self._off) <= ALIGNED and (self._left <= 0.0 or free_ahead(scan, 0.0, self._half_width) < step):
+        if abs(self._off) <= ALIGNED_ENOUGH and (self._left <= 0.0 or free_ahead(scan, 0.0, self._half_width) < step):
             self._draw(scan, step)
         command = np.array([np.clip(self._off, -turn, turn), 0.0])
-        if abs(self._off) <= ALIGNED and free_ahead(scan, 0.0, self._half_width) >= step:
+        if abs(self._off) <= ALIGNED_ENOUGH and free_ahead(scan, 0.0, self._half_width) >= step:
             command[1] = step
             self._left -= step
         self._off = float(wrap_angle(self._off - command[0]))

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from vssm_gym.geometry.transforms import wrap_angle
 
-ALIGNED = math.radians(15.0)  # heading error up to which the robot drives while it turns
+ALIGNED_ENOUGH = math.radians(15.0)  # heading error up to which the robot drives while it turns
 MINDED_COSINE = (
     0.5  # of a reading's bearing from the motion: what is beside the robot is no obstacle, whatever noise says
 )
@@ -37,7 +37,7 @@ def follow(
         return np.zeros(2)
     off = float(wrap_angle(math.atan2(*(target - pose[:2])[::-1]) - pose[2]))
     turn = float(np.clip(off, -limits[0], limits[0]))
-    return np.array([turn, min(distance, float(limits[1])) if abs(off) <= ALIGNED else 0.0])
+    return np.array([turn, min(distance, float(limits[1])) if abs(off) <= ALIGNED_ENOUGH else 0.0])
 
 
 def follow_safely(
@@ -68,7 +68,7 @@ def leave(
     free = np.array([free_ahead(scan, bearing, half_width) for bearing in bearings])
     off = float(wrap_angle(bearings[int(np.argmax(np.minimum(free, LEAVES) - 1e-3 * np.abs(wrap_angle(bearings))))]))
     turn = float(np.clip(off, -limits[0], limits[0]))
-    return np.array([turn, min(float(limits[1]), max(0.0, float(free[0]))) if abs(off) <= ALIGNED else 0.0])
+    return np.array([turn, min(float(limits[1]), max(0.0, float(free[0]))) if abs(off) <= ALIGNED_ENOUGH else 0.0])
 
 
 def free_ahead(scan: Float[np.ndarray, "beams"], bearing: float, half_width: float) -> float:

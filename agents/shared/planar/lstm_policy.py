@@ -122,11 +122,11 @@ def load_lstm(path: Path) -> LstmPolicy:
         for name, shape in shapes.items():
             if stored.shapes.get(name) != shape:
                 raise InputError(path, name, f"float32 of shape {shape}; found {stored.shapes.get(name)}")
-        arrays = {name: np.asarray(as_float32(stored.read(name), path, name), np.float64) for name in shapes}
-    if not (arrays["std"] > 0.0).all():
-        raise InputError(path, "std", "numbers above 0")
-    numbers = arrays["parameters"], arrays["mean"], arrays["std"]
-    return LstmPolicy(sizes[0], sizes[1], *numbers, header.get("trained", {}))
+        trained = header.get("trained", {})
+        if not isinstance(trained, dict):
+            raise InputError(path, "trained", f"fields of the training; found {trained!r:.80}")
+        numbers = [as_float32(stored.read(name), path, name, positive=name == "std") for name in shapes]
+    return LstmPolicy(sizes[0], sizes[1], *(one.astype(np.float64) for one in numbers), trained)
 
 
 def _sigmoid(x: Any) -> Any:

@@ -18,7 +18,7 @@ from vssm_gym.eval.studies.page import Study
 from vssm_gym.viz.pictures import svg
 
 LEADER = "maze_information"
-TUNED = MAZES[0]
+TUNED = MAZES[0]  # the maze on which everything was tuned
 COLOURS = dict(zip(EXPLORERS, ("tab:blue", "tab:orange", "tab:green", "tab:olive", "tab:grey"), strict=True))
 NAMES = {
     "maze_information": "information of sampled scans",

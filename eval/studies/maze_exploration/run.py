@@ -6,15 +6,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE
 from vssm_gym.envs.tasks.mazes import MAZES
+from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.studies.maze_exploration.episodes import EXPLORERS, explore
+from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.line_file import LineFile
 from vssm_gym.progress import OnProgress
 
 EXPLORATION_ROWS = "maze-exploration.jsonl"  # in the study's folder
 MOST_ROW_BYTES = 1 << 20  # of a line that is read again
+MOST_FILE_BYTES = 256 << 20  # of all of them
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,27 @@ class ExplorationSetting:
         for name in ("seeds", "steps"):
             if getattr(self, name) < 1:
                 raise InputError("maze-exploration", name, f"at least 1, not {getattr(self, name)}")
+
+
+class ExplorationRow(StrictModel):
+    """Hold one run: what ran, curves every few steps, and figures of the whole; m and s."""
+
+    maze: str
+    seed: int
+    agent: str
+    task: int
+    coverage: list[float]
+    nats: list[float]
+    collisions: int
+    path_length: float
+    location_error_mean: float | None
+    location_error_max: float | None
+    decisions: int
+    decision_p50: float | None
+    decision_p95: float | None
+    steps: int
+    noise: str
+    sensor_noise: str
 
 
 def run(setting: ExplorationSetting, out: Path, on_progress: OnProgress | None = None) -> list[dict[str, Any]]:
@@ -90,16 +116,16 @@ def read_exploration(path: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     rows: list[dict[str, Any]] = []
-    for number, line in enumerate(path.read_bytes().splitlines(keepends=True), start=1):
+    for number, line in enumerate(
+        read_bytes(path, MOST_FILE_BYTES, "runs of this study").splitlines(keepends=True), start=1
+    ):
         if not line.endswith(b"\n"):
             break
         try:
-            row = json.loads(line) if len(line) <= MOST_ROW_BYTES else None
-        except ValueError:
-            row = None
-        if not (isinstance(row, dict) and {"maze", "seed", "agent", "coverage", "nats", "steps"} <= row.keys()):
-            raise InputError(path, f"line {number}", "a run of this study")
-        rows.append(row)
+            row = ExplorationRow.model_validate_json(line if len(line) <= MOST_ROW_BYTES else b"")
+        except ValidationError:
+            raise InputError(path, f"line {number}", "a run of this study") from None
+        rows.append(row.model_dump())
     return rows
 
 

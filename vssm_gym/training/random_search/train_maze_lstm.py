@@ -20,7 +20,7 @@ from vssm_gym.training.random_search.search import Moments, SearchConfig, climb
 FIRST_PARAMETERS = 0.1  # standard deviation of the parameters that the search starts from
 FIRST_DRIVE = 1.0  # of the step's bias at the start: the robot drives, and sees something
 CHECKED = 32  # rollouts by which the best parameters of a training are chosen
-CHECK_EVERY = 50  # iterations between two checks
+CHECKED_EVERY = 50  # iterations between two checks
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def train(maze: str, config: LstmTraining, on_check: Callable[[int, float, float
     moments, best, began = Moments.of(config.inputs), (-1.0, theta, Moments.of(config.inputs), 0), time.perf_counter()
     for k in range(config.iterations):
         theta, moments, reward = climb(theta, moments, evaluate, config.search, rng)
-        if (k + 1) % CHECK_EVERY == 0:
+        if (k + 1) % CHECKED_EVERY == 0:
             checked, _ = run(np.repeat(theta[None], CHECKED, axis=0), moments, np.random.default_rng(config.seed + 1))
             found = float(checked.mean())
             best = max(best, (found, theta.copy(), moments, k + 1), key=lambda one: one[0])
