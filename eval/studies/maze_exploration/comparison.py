@@ -103,7 +103,7 @@ def study(rows: Sequence[dict[str, Any]], setting: dict[str, Any]) -> Study:
             "pose, mm",
         ),
         lines=lines,
-        picture=picture(rows, mazes, agents),
+        picture=svg(picture(rows, mazes, agents)),
         setting=setting,
         figures=_plain(figures),
         notes=(
@@ -115,7 +115,7 @@ def study(rows: Sequence[dict[str, Any]], setting: dict[str, Any]) -> Study:
     )
 
 
-def picture(rows: Sequence[dict[str, Any]], mazes: Sequence[str], agents: Sequence[str]) -> bytes:
+def picture(rows: Sequence[dict[str, Any]], mazes: Sequence[str], agents: Sequence[str]) -> Figure:
     """Draw coverage against steps in each maze, and the information over the judged ones; bands: 95 % of the mean."""
     figure = Figure(figsize=(11.0, 5.4), layout="constrained")
     axes = figure.subplots(2, 4).ravel()
@@ -139,11 +139,12 @@ def picture(rows: Sequence[dict[str, Any]], mazes: Sequence[str], agents: Sequen
         ax.grid(alpha=0.3, lw=0.5)
     for ax in axes[len(panels) :]:
         ax.axis("off")
-    figure.supxlabel("steps", fontsize=9)
+    for ax in axes[4:]:
+        ax.set_xlabel("steps", fontsize=8)
     figure.supylabel("share of tiles visited", fontsize=9)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
-    return svg(figure)
+    return figure
 
 
 def _band(found: Float[np.ndarray, "runs n"]) -> tuple[np.ndarray, np.ndarray]:

@@ -79,7 +79,9 @@ def test_leads_are_paired_and_leave_out_the_tuned_maze():
         "random",
     ]
     json.dumps(outcome.figures, allow_nan=False)
-    assert picture(rows, mazes, [LEADER, "maze_lstm"]).startswith(b"<?xml")
+    assert outcome.picture.startswith(b"<?xml")
+    drawn = picture(rows, mazes, [LEADER, "maze_lstm"])
+    assert [len(ax.lines) for ax in drawn.axes] == [2, 2, 2, 2, 2, 0, 0, 0]
 
 
 def test_the_command_writes_a_page(tmp_path):
