@@ -125,8 +125,9 @@ def load_lstm(path: Path) -> LstmPolicy:
         trained = header.get("trained", {})
         if not isinstance(trained, dict):
             raise InputError(path, "trained", f"fields of the training; found {trained!r:.80}")
-        numbers = [as_float32(stored.read(name), path, name, positive=name == "std") for name in shapes]
-    return LstmPolicy(sizes[0], sizes[1], *(one.astype(np.float64) for one in numbers), trained)
+        given = {name: as_float32(stored.read(name), path, name, positive=name == "std") for name in shapes}
+    parameters, mean, std = (given[name].astype(np.float64) for name in ("parameters", "mean", "std"))
+    return LstmPolicy(sizes[0], sizes[1], parameters, mean, std, trained)
 
 
 def _sigmoid(x: Any) -> Any:
