@@ -19,6 +19,7 @@ from tests.helpers.dynamics.transitions import random_transition
 from tests.helpers.paths import CHECKOUT
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
+from vssm_gym.agents.shared.planar.lstm_policy import LstmPolicy, load_lstm, save_lstm, size_of
 from vssm_gym.data.dynamics.read import read_dynamics
 from vssm_gym.data.laser_logs import LaserLog, read_laser_log, write_laser_log
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
@@ -31,6 +32,7 @@ from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.studies.calibration.errors import FilterErrors, RunErrors, summarise
 from vssm_gym.eval.studies.calibration.stored import finished
 from vssm_gym.eval.studies.calibration.table import study_of
+from vssm_gym.eval.studies.maze_exploration.run import EXPLORATION_ROWS, read_exploration
 from vssm_gym.eval.studies.page import write_study
 from vssm_gym.eval.sweep.config import load_config
 from vssm_gym.eval.sweep.merge import merge_sweeps
@@ -187,6 +189,11 @@ def _log(folder: Path) -> None:
     (folder / "episodes.jsonl").write_text("".join(rows[:5]))
 
 
+def _exploration(folder: Path) -> None:
+    source = CHECKOUT / "eval" / "baselines" / "maze_exploration" / EXPLORATION_ROWS
+    (folder / "rows.jsonl").write_bytes(b"".join(source.read_bytes().splitlines(keepends=True)[:5]))
+
+
 def _training_folder(folder: Path) -> None:
     config = {
         "name": "a",
@@ -261,6 +268,14 @@ READERS: dict[str, Reader] = {
     "posterior": Reader(_posterior, lambda d: Posterior.load(d / "posterior.npz")),
     "policy": Reader(
         lambda d: policy_file.save(d / "policy.npz", straight()), lambda d: policy_file.load(d / "policy.npz")
+    ),
+    "lstm policy": Reader(
+        lambda d: save_lstm(d / "policy.npz", LstmPolicy(8, 4, np.zeros(size_of(8, 4)), np.zeros(8), np.ones(8))),
+        lambda d: load_lstm(d / "policy.npz"),
+    ),
+    "maze exploration": Reader(
+        _exploration,
+        lambda d: read_exploration(d / "rows.jsonl"),
     ),
     "learned transition": Reader(_learned, lambda d: load_transition(d / "learned.npz")),
     "scan encoder": Reader(

@@ -51,6 +51,7 @@ COMMANDS: dict[str, Any] = {
         "smoothing": "study.smoothing",
         "pose-flow": "study.pose_flow",
         "pose-ambiguity": "study.pose_ambiguity",
+        "maze-exploration": "study.maze_exploration",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",

@@ -1,4 +1,4 @@
-"""Predict scans by the charts of a latent grid: the emission of DVBF-LM, with the parallax of a chart (eq. M37).
+"""Predict scans by the charts of a latent grid: the emission of DVBF-LM, with the parallax of a chart (eq. M38).
 
     mu_k(z) = sum_ij alpha_ij(z) range of chart ij along beam k, seen from z
     log p(x | z, M) = counted sum_k log Huber((x_k - mu_k) / s_k),    s_k^2 = std^2 + var_ij(ranges) + spread^2

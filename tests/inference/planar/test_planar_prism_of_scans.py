@@ -189,4 +189,29 @@ def test_an_occupancy_map_is_a_model_of_scans(mapped):
     )  # b of a Laplace distribution
     again = model.draw_map(jax.random.key(1))
     away = np.asarray((again.m.occupancy - mapped.occupancy) * jnp.sqrt(mapped.precision))
-    assert abs(away.std() - 1.0) < 0.05 and np.abs(again.ranges(states) - predicted).max() > 0.0
+    solid = mapped.observed & (np.asarray(mapped.occupancy) > 0.5 * CELL) & (np.asarray(mapped.occupancy) < 3.0 * CELL)
+    assert abs(away[solid].std() - 1.0) < 0.05 and np.abs(again.ranges(states) - predicted).max() > 0.0
+    np.testing.assert_allclose(again.ranges(states), predicted, atol=6.0 * CELL)
+
+
+def test_unknown_space_of_a_drawn_map_lets_beams_pass():
+    """The first thing that a beam meets there is ``free_path`` cells away on average, and no draw skips what is solid.
+
+    A beam is about a cell wide: solid cells are corners of the grid, with slopes to their free neighbours.
+    """
+    m = PlanarMap.prior(np.array([-1.0, -1.0]), np.array([1.0, 1.0]), 0.01)
+    for free_path in (10.0, 20.0):
+        model = OccupancyScans(m, scanner(), 0.5 * CELL, free_path=free_path)
+        drawn = [model.draw_map(jax.random.key(k)) for k in range(12)]
+        drawn = [one for one in drawn if float(one.m.occupancy_at(jnp.zeros(2))) < 0.0]  # not in what is solid
+        met = np.concatenate([np.asarray(one.ranges(jnp.zeros(3))) for one in drawn])
+        assert 0.6 < met.mean() / (free_path * CELL) < 1.6, free_path
+    ends = model.scanner.endpoints(jnp.zeros(3), drawn[0].ranges(jnp.zeros(3)))
+    np.testing.assert_allclose(drawn[0].m.occupancy_at(ends), 0.0, atol=CELL)
+
+
+def test_ranges_are_differentiable_in_the_pose(mapped):
+    model, state = OccupancyScans(mapped, scanner(), 0.5 * CELL), jnp.asarray(PLACES[0], jnp.float32)
+    J = np.asarray(jax.jacrev(model.ranges)(state))[:, :2]
+    ahead = np.stack([np.cos(ANGLES + PLACES[0][2]), np.sin(ANGLES + PLACES[0][2])], axis=-1)
+    assert np.median(-(J * ahead).sum(axis=1)) == pytest.approx(1.0, abs=0.1)  # a step ahead is a step nearer

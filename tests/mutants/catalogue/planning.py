@@ -3,6 +3,7 @@
 from tests.mutants.mutant import Mutant
 
 INFORMATION, MPC = "vssm_gym/planning/exploration/information", "vssm_gym/planning/mpc/objective.py"
+PLANE, OF_PLANE = "vssm_gym/planning/exploration/plane", "tests/planning/test_plane_exploration.py"
 OF_INFORMATION = "tests/planning/test_information.py"
 OF_VALUE = ("tests/planning/car/test_value_iteration.py::test_agrees_with_an_exact_dynamic_program",)
 OF_MPC = ("tests/planning/car/test_mpc_objective.py::test_values_are_those_of_the_definition",)
@@ -129,5 +130,33 @@ PLANNING = (
         "[states[..., :1] + c * x - s * y, states[..., 1:2] + s * x + c * y]",
         "[states[..., :1] + c * x + s * y, states[..., 1:2] - s * x + c * y]",
         OF_MPC,
+    ),
+    Mutant(
+        "headings-of-a-turning-robot-kept",
+        f"{PLANE}/information.py",
+        "return poses.at[..., 2].set(off)",
+        "return poses",
+        (f"{OF_PLANE}::test_what_is_seen_twice_counts_once",),
+    ),
+    Mutant(
+        "a-more-dangerous-sequence-kept",
+        f"{PLANE}/controls.py",
+        "better = found <= least",
+        "better = found >= least",
+        (f"{OF_PLANE}::test_refined_sequences_are_safer_and_never_worse",),
+    ),
+    Mutant(
+        "unknown-cells-solid-by-the-prior",
+        "vssm_gym/model/scan_emission.py",
+        "> jnp.exp(-1.0 / self.free_path)",
+        "> 0.5",
+        ("tests/inference/planar/test_planar_prism_of_scans.py::test_unknown_space_of_a_drawn_map_lets_beams_pass",),
+    ),
+    Mutant(
+        "random-search-by-the-worst-directions",
+        "vssm_gym/training/random_search/search.py",
+        "np.argsort(-pairs.max(axis=1)",
+        "np.argsort(pairs.max(axis=1)",
+        ("tests/training/test_random_search.py::test_only_the_best_directions_move_the_parameters",),
     ),
 )

@@ -1,0 +1,1 @@
+"""Compare explorers of the mazes of LidarMaze: information from samples, frontiers, a trained policy, chance."""

@@ -1,0 +1,1 @@
+"""Train small policies by augmented random search, without gradients."""
