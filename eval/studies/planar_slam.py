@@ -10,6 +10,7 @@ from vssm_gym.data.laser_logs import LaserLog, relation
 from vssm_gym.data.traversals import errors
 from vssm_gym.eval.studies.page import Study
 from vssm_gym.eval.studies.scan_graph.run import run_scan_graph
+from vssm_gym.maps.latent_grid import LatentGrid
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.latent_run import LatentRun, run_latent
 from vssm_gym.slam.planar_run import PlanarRun, loop_errors, run_scans
@@ -148,7 +149,7 @@ def _picture(log: LaserLog, found: PlanarRun, latent: LatentRun | None, estimate
         axes.plot(*estimates[GRAPH][:, :2].T, color="tab:red", lw=0.8, label=GRAPH)
     axes.plot(*found.poses[:, :2].T, color="tab:blue", lw=0.8, label=SLAM)
     if latent:
-        _draw_charts(panels[1], latent)
+        _draw_charts(panels[1], latent.model.m, log.max_range)
         panels[1].plot(*latent.poses[:, :2].T, color="tab:purple", lw=0.8, label=LATENT)
     seen = np.argwhere(m.observed)
     first, last = low + cell * seen.min(axis=0), low + cell * seen.max(axis=0)
@@ -158,15 +159,12 @@ def _picture(log: LaserLog, found: PlanarRun, latent: LatentRun | None, estimate
     return svg(figure)
 
 
-def _draw_charts(axes: Axes, latent: LatentRun) -> None:
+def _draw_charts(axes: Axes, m: LatentGrid, max_range: float) -> None:
     """Draw a point where each observed chart has a surface, darker where it knows more."""
-    m = latent.model.m
     known = m.observed
     chart, spread = np.asarray(m.chart)[known], np.asarray(m.spread)[known]
     bearing = 2.0 * np.pi * np.arange(chart.shape[-1]) / chart.shape[-1]
     ends = np.asarray(m.centres())[known][:, None] + chart[..., None] * np.stack([np.cos(bearing), np.sin(bearing)], -1)
-    share = np.clip(1.0 - spread / np.asarray(m.decoder.prior_std), 0.0, 1.0) * (
-        chart < float(latent.model.scanner.max_range)
-    )
+    share = np.clip(1.0 - spread / np.asarray(m.decoder.prior_std), 0.0, 1.0) * (chart < max_range)
     x, y = ends.reshape(-1, 2).T
     axes.scatter(x, y, s=1.0, c="black", alpha=0.3 * share.ravel(), linewidths=0.0, rasterized=True)

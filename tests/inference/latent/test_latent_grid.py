@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vssm_gym.errors import InputError
-from vssm_gym.inference.latent.chart_update import Panorama, panorama, write
 from vssm_gym.inference.latent.config import LatentConfig
 from vssm_gym.inference.latent.decoder_fit import fit_decoder
+from vssm_gym.inference.latent.scan_charts import Panorama, ScanCharts, ScanReading, panorama
 from vssm_gym.inference.particles import BootstrapFilter, ParticleBelief
 from vssm_gym.maps.latent_grid import ChartDecoder, LatentGrid
 from vssm_gym.model.latent_scans import LatentScans, seen_from
@@ -44,8 +44,9 @@ def scan(seed: int) -> np.ndarray:
 
 
 def put(m: LatentGrid, x: np.ndarray, pose: np.ndarray, sign: float = 1.0, config: LatentConfig = PLAIN) -> LatentGrid:
-    scan = panorama(jnp.asarray(x, jnp.float32), SCANNER, BEAMS)
-    return write(m, scan, jnp.asarray(pose, jnp.float32), SCANNER, config, sign)
+    beams = jnp.asarray(x, jnp.float32)
+    reading = ScanReading(beams, panorama(beams, SCANNER, BEAMS))
+    return ScanCharts(SCANNER, config).write(m, reading, jnp.asarray(pose, jnp.float32), sign)
 
 
 def regression(scans: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:

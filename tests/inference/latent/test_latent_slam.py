@@ -67,7 +67,7 @@ def test_its_map_predicts_scans(drive, run):
     seen = drive.ranges[chosen]
     off = np.abs(predicted - seen)[seen > 0.0]
     unknown = np.abs(seen.mean() - seen)[seen > 0.0]
-    assert np.median(off) < 0.015 and off.mean() < 0.25 * unknown.mean()
+    assert np.median(off) < 0.025 and off.mean() < 0.25 * unknown.mean()
 
 
 def test_a_minibatch_estimates_the_bound(drive, run):

@@ -3,19 +3,17 @@
 w_k ∝ p(x_t | z_k, M),  z_k ~ p(z_t | z_t-1, u_t-1),    q^(z_t) = N(moments of the particles)
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
-from vssm_gym.inference.latent.config import LatentConfig
+from vssm_gym.inference.latent.chart_update import ChartSensor
 from vssm_gym.inference.particles import BootstrapFilter, ParticleBelief, Weighted
 from vssm_gym.maps.latent_grid import LatentGrid
-from vssm_gym.model.latent_scans import LatentScans
-from vssm_gym.model.scan_emission import ScanLikelihood
-from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition.base import Transition
 from vssm_gym.model.transition.belief import GaussianBelief
 from vssm_gym.model.transition.manifold import PLANAR
@@ -26,24 +24,17 @@ class LatentFilter:
     """Filter the pose of a robot in the plane under a latent map.
 
     Attributes:
-        scanner: on the robot.
+        charts: relation of the sensor to the map.
         transition: of the robot, in the plane.
-        config: numbers.
     """
 
-    scanner: Scanner
+    charts: ChartSensor
     transition: Transition
-    config: LatentConfig = field(default_factory=LatentConfig)
 
     def __post_init__(self) -> None:
         if self.transition.manifold != PLANAR:
             found = type(self.transition).__name__
             raise InputError("LatentFilter", "transition", f"one of a robot in the plane; found {found}")
-
-    def model(self, m: LatentGrid) -> LatentScans:
-        """Return the model of scans under a map, as the filter weighs them."""
-        std = self.config.reading_std * m.cell_size
-        return LatentScans(m, self.scanner, std, self.config.counted, self.config.huber)
 
     def step(
         self,
@@ -51,20 +42,20 @@ class LatentFilter:
         belief: ParticleBelief,
         m: LatentGrid,
         control: Float[Array, "m"],
-        ranges: Float[Array, "beams"],
+        reading: Any,
         dt: float | Array,
     ) -> Weighted:
-        """Return the particles after one more control and one more scan, and the scan's evidence.
+        """Return the particles after one more control and one more reading, and the reading's evidence.
 
         Args:
             key: random key.
             belief: before them.
             m: the map, without what the steps close by have written.
             control: of the transition.
-            ranges: of the scan, m; 0 where there is no reading.
+            reading: of the sensor.
             dt: length of the step, s.
         """
-        likelihood = ScanLikelihood(ranges, self.model(m))
+        likelihood = self.charts.likelihood(m, reading)
         return BootstrapFilter(self.transition).step(key, belief, control, likelihood, dt)
 
 

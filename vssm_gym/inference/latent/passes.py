@@ -1,39 +1,36 @@
 """Pass over a log: filter the poses of each step under the map of the other chunks, then write what they saw (eq. I75).
 
-on line:   the map holds the scans that are at least a chunk old, at the poses they were filtered at
-off line:  the map holds all scans but those within a chunk, at the poses of the pass before; after a pass the poses are
-           smoothed backwards and the map is made anew. Steps see a map that is one pass old: DVBF-LM's asynchronous
+on line:   the map holds the readings that are at least a chunk old, at the poses they were filtered at
+off line:  the map holds all readings but those within a chunk, at the poses of the pass before; after a pass the poses
+           are smoothed backwards and the map is made anew. Steps see a map that is one pass old: DVBF-LM's asynchronous
            chunks, with the whole log as the minibatch and the exact optimum of the map in place of a gradient step.
 """
 
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from vssm_gym.inference.latent.chart_update import Panorama, write
-from vssm_gym.inference.latent.config import LatentConfig
+from vssm_gym.inference.latent.chart_update import ChartSensor
 from vssm_gym.inference.latent.filter import LatentFilter
 from vssm_gym.inference.particles import ParticleBelief
 from vssm_gym.maps.latent_grid import LatentGrid
-from vssm_gym.model.scanner import Scanner
 from vssm_gym.model.transition.base import Transition
 
 
 class Log(eqx.Module):
-    """Hold what a pass reads, a row a scan.
+    """Hold what a pass reads, a row a reading.
 
     Attributes:
         controls: from the scan before; the first means nothing.
-        ranges: m; 0 where there is no reading.
-        scans: the same at the bearings of a chart.
+        readings: of the sensor, a pytree.
     """
 
     controls: Float[Array, "time m"]
-    ranges: Float[Array, "time beams"]
-    scans: Panorama
+    readings: Any
 
 
 class Pass(eqx.Module):
@@ -44,7 +41,7 @@ class Pass(eqx.Module):
         m: the map under which the next step is inferred.
         mean: x, y (m), heading (rad) of the filtered beliefs so far.
         covariance: of their errors.
-        log_evidence: of each scan, nats; tempered as the likelihood is.
+        log_evidence: of each reading, nats; tempered as the likelihood is.
     """
 
     belief: ParticleBelief
@@ -54,11 +51,11 @@ class Pass(eqx.Module):
     log_evidence: Float[Array, "time"]
 
 
-@partial(jax.jit, static_argnames="config", donate_argnames="at")
+@partial(jax.jit, static_argnames="chunk", donate_argnames="at")
 def advance(
-    scanner: Scanner,
+    charts: ChartSensor,
     transition: Transition,
-    config: LatentConfig,
+    chunk: int,
     key: PRNGKeyArray,
     at: Pass,
     log: Log,
@@ -68,49 +65,44 @@ def advance(
     """Return the state after several steps; those beyond the log change nothing.
 
     Args:
-        scanner: on the robot.
+        charts: relation of the sensor to the map.
         transition: of the robot.
-        config: numbers.
+        chunk: steps whose readings the map of a step does not hold.
         key: random key of the pass.
         at: state before them.
         log: all of it.
         steps: their numbers, ascending.
-        written: poses of all scans in the map, off line; None: on line, the map holds what this pass has written.
+        written: poses of all readings in the map, off line; None: on line, the map holds what this pass has written.
     """
-    latent = LatentFilter(scanner, transition, config)
-    time = len(log.ranges)
+    latent = LatentFilter(charts, transition)
+    time = len(log.controls)
+    reading = lambda t: jax.tree.map(lambda rows: rows[jnp.clip(t, 0, time - 1)], log.readings)
 
     def put(m: LatentGrid, t: Array, poses: Array, sign: float) -> LatentGrid:
         inside = (t >= 0) & (t < time)
-        t = jnp.clip(t, 0, time - 1)
-        scan = Panorama(log.scans.ranges[t], log.scans.valid[t])
-        return write(m, scan, poses[t], scanner, config, jnp.where(inside, sign, 0.0))
+        return charts.write(m, reading(t), poses[jnp.clip(t, 0, time - 1)], jnp.where(inside, sign, 0.0))
 
     def step(at: Pass, t: Array) -> tuple[Pass, None]:
-        found = latent.step(jax.random.fold_in(key, t), at.belief, at.m, log.controls[t], log.ranges[t], 0.0)
+        control = log.controls[jnp.minimum(t, time - 1)]
+        found = latent.step(jax.random.fold_in(key, t), at.belief, at.m, control, reading(t), 0.0)
         moments = found.belief.gaussian()
         mean, covariance = at.mean.at[t].set(moments.mean), at.covariance.at[t].set(moments.covariance)
-        m = put(at.m, t - config.chunk, mean if written is None else written, 1.0)
+        m = put(at.m, t - chunk, mean if written is None else written, 1.0)
         if written is not None:
-            m = put(m, t + config.chunk + 1, written, -1.0)
+            m = put(m, t + chunk + 1, written, -1.0)
         after = Pass(found.belief, m, mean, covariance, at.log_evidence.at[t].set(found.log_evidence))
         return jax.tree.map(lambda new, old: jnp.where(t < time, new, old), after, at), None
 
     return jax.lax.scan(step, at, steps)[0]
 
 
-@partial(jax.jit, static_argnames=("config", "sign"))
+@partial(jax.jit, static_argnames="sign")
 def put_all(
-    m: LatentGrid,
-    scans: Panorama,
-    poses: Float[Array, "n 3"],
-    scanner: Scanner,
-    config: LatentConfig,
-    sign: float = 1.0,
+    charts: ChartSensor, m: LatentGrid, readings: Any, poses: Float[Array, "n 3"], sign: float = 1.0
 ) -> LatentGrid:
-    """Return the map with several scans written at their poses, or erased from there."""
+    """Return the map with several readings written at their poses, or erased from there."""
 
-    def one(m: LatentGrid, now: tuple[Panorama, Array]) -> tuple[LatentGrid, None]:
-        return write(m, *now, scanner, config, sign), None
+    def one(m: LatentGrid, now: tuple[Any, Array]) -> tuple[LatentGrid, None]:
+        return charts.write(m, *now, sign), None
 
-    return jax.lax.scan(one, m, (scans, poses))[0]
+    return jax.lax.scan(one, m, (readings, poses))[0]
