@@ -1,4 +1,4 @@
-"""Predict strip images by the charts of a latent grid: DVBF-LM's second modality (eq. M38, without parallax).
+"""Predict strip images by the charts of a latent grid: DVBF-LM's second modality (eq. M38, no parallax).
 
     mu_ck(z) = sum_ij alpha_ij(z) colour of chart ij at the bearing of column k
     s_ck^2   = std^2 + var_ij(colours) + spread_ck^2

@@ -50,7 +50,7 @@ class StripReading(eqx.Module):
         pixels: brightness of red in every column, then green, then blue.
     """
 
-    pixels: Float[Array, "pixels"]
+    pixels: Float[Array, "*time pixels"]
 
 
 class StripLikelihood(eqx.Module):
