@@ -53,7 +53,7 @@ class LatentStrips(eqx.Module):
         return self.counted * jnp.sum(nats, axis=-1)
 
 
-def turned(chart: Float[Array, "*batch pixels"], bearing: Float[Array, "*batch columns"]) -> Array:
+def turned(chart: Float[Array, "*batch pixels"], bearing: Float[Array, "*wider columns"]) -> Array:
     """Return the colours of a chart at other bearings, one channel after the other."""
     channels = chart.reshape(*chart.shape[:-1], COLOURS, -1)
     wanted = jnp.broadcast_to(bearing[..., None, :], (*channels.shape[:-1], bearing.shape[-1]))
