@@ -174,14 +174,17 @@ def _infer(
     near = slice(0, config.chunk + 1)  # of the first step
     for number in range(passes + 1):
         if written is not None:
-            m = put_all(charts, m, jax.tree.map(lambda rows: rows[near], readings), written[near], -1.0)
+            nearest = jax.block_until_ready(jax.tree.map(lambda rows: rows[near], (readings, written)))
+            m = jax.block_until_ready(put_all(charts, m, *nearest, -1.0))
         particles = ParticleBelief.of(jnp.zeros((config.particles, 3)), PLANAR)
         m = jax.tree.map(jnp.copy, m)  # `advance` takes its state for itself
         at = Pass(particles, m, jnp.zeros_like(mean), jnp.zeros_like(covariance), jnp.zeros(length))
         key = jax.random.fold_in(jax.random.key(seed), number)
         for first in range(1, length, STEPS_TOGETHER):
             steps = jnp.arange(first, first + STEPS_TOGETHER)
-            at = advance(charts, transition, config.chunk, key, at, given, steps, written)
+            # One computation at a time: several in flight share XLA's few threads on a small machine, and may wait for
+            # each other without end
+            at = jax.block_until_ready(advance(charts, transition, config.chunk, key, at, given, steps, written))
             if on_progress:
                 stage = f"pass {number}" if number else "on line"
                 on_progress(stage, min(first + STEPS_TOGETHER, length), length)
@@ -189,9 +192,9 @@ def _infer(
         if number:
             # Particles that all agree have no spread to weigh the next step by
             jitter = 1e-12 * jnp.eye(3)
-            mean, covariance = smoothed(transition, mean, covariance + jitter, controls[1:], 0.0)
+            both = smoothed(transition, mean, covariance + jitter, controls[1:], 0.0)
+            mean, covariance = jax.block_until_ready(both)
         evidence.append(float(at.log_evidence.sum()))
         written = mean
-        m = put_all(charts, prior, readings, written)
-    jax.block_until_ready(m.chart)
+        m = jax.block_until_ready(put_all(charts, prior, readings, written))
     return np.asarray(mean, float), np.asarray(covariance, float), m, evidence
