@@ -1,63 +1,107 @@
-"""Provide a rectangular room with a round pillar, whose scans are a formula: a differentiable model of scans."""
+"""Define a box room in closed form, float64: the oracle of tests of maps, rendering and localisation."""
 
-import equinox as eqx
-import jax
+from dataclasses import dataclass
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from vssm_gym.model.scanner import Scanner
+from vssm_gym.geometry.camera import Camera
+from vssm_gym.geometry.transforms import R_BODY_CAM
+from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.model.emission import RGBD
 
-
-def full_circle(beams: int = 64, max_range: float = 1.5) -> Scanner:
-    """Return a scanner in the middle of a robot, with beam 0 ahead."""
-    angles = 2.0 * np.pi * np.arange(beams) / beams
-    return Scanner(jnp.asarray(angles, jnp.float32), jnp.zeros(3), jnp.float32(max_range))
+Corners = tuple[tuple[float, float, float], tuple[float, float, float]]  # lowest and highest, m
 
 
-class AnalyticRoom(eqx.Module):
-    """Predict scans of the room ``[0, width] x [0, depth]`` with a pillar; a ScanModel.
+def box_distance(p: np.ndarray, corners: Corners) -> np.ndarray:
+    """Return exact signed distance (m, negative inside) of points (..., 3) to an upright box."""
+    low, high = np.array(corners)
+    q = np.abs(p - 0.5 * (low + high)) - 0.5 * (high - low)
+    return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0)
 
-    Attributes:
-        scanner: on the robot.
-        width: m, along x.
-        depth: m, along y.
-        pillar: x, y, radius, m; a radius of 0: none.
-        scale: ``b`` of a reading's Laplace distribution, m.
-    """
 
-    scanner: Scanner
-    width: float = 1.0
-    depth: float = 0.6
-    pillar: tuple[float, float, float] = (0.3, 0.4, 0.06)
-    scale: float = 0.01
+def slab(centre: np.ndarray, directions: np.ndarray, corners: Corners) -> tuple[np.ndarray, np.ndarray]:
+    """Return ray parameters (rays,) where rays enter and leave a box; entry > exit where they miss it."""
+    with np.errstate(divide="ignore"):
+        a, b = ((np.array(c) - centre) / directions for c in corners)
+    return np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
 
-    def ranges(self, state: Array) -> Array:
-        """Return the exact ranges."""
-        angle = state[..., 2:3] + self.scanner.angles
-        ux, uy = jnp.cos(angle), jnp.sin(angle)
-        x, y = state[..., 0:1], state[..., 1:2]
-        along = lambda p, u, far: jnp.where(u > 0.0, far - p, p) / jnp.maximum(jnp.abs(u), 1e-6)
-        wall = jnp.minimum(along(x, ux, self.width), along(y, uy, self.depth))
-        px, py, radius = self.pillar
-        dx, dy = px - x, py - y
-        ahead, beside = dx * ux + dy * uy, dx * uy - dy * ux
-        root = radius**2 - beside**2
-        hit = (root > 0.0) & (ahead > 0.0)
-        inside = (dx**2 + dy**2 < radius**2) & (ahead < jnp.inf)
-        met = jnp.where(inside, 0.0, jnp.where(hit, ahead - jnp.sqrt(jnp.where(hit, root, 1.0)), jnp.inf))
-        return jnp.clip(jnp.minimum(wall, met), 1e-6, self.scanner.max_range)
 
-    def log_prob(self, ranges: Array, state: Array) -> Array:
-        """Return the log density of a scan at each pose."""
-        nats = -jnp.abs(ranges - self.ranges(state)) / self.scale - jnp.log(2.0 * self.scale)
-        return 0.2 * jnp.sum(jnp.where(ranges > 0.0, nats, 0.0), axis=-1)
+def camera_pose(position: tuple[float, float, float], yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
+    """Return T_world_cam, float64, of a camera that looks along world x, rolled, pitched down and turned left (rad)."""
+    (cy, sy), (cp, sp), (cr, sr) = ((np.cos(a), np.sin(a)) for a in (yaw, pitch, roll))
+    turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    dip = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    tilt = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = turn @ dip @ tilt @ np.array(R_BODY_CAM), position
+    return T
 
-    def sample(self, key: Array, state: Array) -> Array:
-        """Draw scans."""
-        found = self.ranges(state)
-        return jnp.clip(found + self.scale * jax.random.laplace(key, found.shape), 0.0, self.scanner.max_range)
 
-    def draw_map(self, key: Array) -> "AnalyticRoom":
-        """Return this model: its map is known."""
-        return self
+def ray_directions(T_world_cam: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return world directions (height * width, 3) per metre of z-depth, from the inverse of K; float64."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    pixels = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3).astype(float)
+    return pixels @ np.linalg.inv(camera.K).T @ T_world_cam[:3, :3].T
+
+
+@dataclass(frozen=True)
+class Room:
+    """Describe free space inside ``interior`` without the solid ``boxes``, with smooth textures."""
+
+    interior: Corners
+    boxes: tuple[Corners, ...] = ()
+
+    def occupancy(self, p: np.ndarray) -> np.ndarray:
+        """Return negative signed distance (m), positive in walls and boxes."""
+        solids = [box_distance(p, self.interior), *(-box_distance(p, box) for box in self.boxes)]
+        return np.max(solids, axis=0)
+
+    def colour(self, p: np.ndarray) -> np.ndarray:
+        """Return RGB (..., 3) in [0.1, 0.9]."""
+        x, y, z = np.moveaxis(np.asarray(p), -1, 0)
+        waves = [
+            np.sin(9 * x + 4 * z) * np.cos(7 * y - 2 * z),
+            np.sin(6 * y + 8 * z + 1) * np.cos(5 * x),
+            np.sin(10 * z - 6 * x + 2) * np.cos(8 * y),
+        ]
+        return 0.5 + 0.4 * np.stack(waves, axis=-1)
+
+    def depth(self, T_world_cam: np.ndarray, camera: Camera) -> np.ndarray:
+        """Return z-depth (height, width), m."""
+        centre, directions = T_world_cam[:3, 3], ray_directions(T_world_cam, camera)
+        depth = slab(centre, directions, self.interior)[1]
+        for box in self.boxes:
+            enter, leave = slab(centre, directions, box)
+            depth = np.where((enter < leave) & (enter > 0.0), np.minimum(depth, enter), depth)
+        return depth.reshape(camera.height, camera.width)
+
+    def image(self, T_world_cam: np.ndarray, camera: Camera) -> RGBD:
+        """Take the image of an ideal camera."""
+        depth = self.depth(T_world_cam, camera)
+        p = T_world_cam[:3, 3] + ray_directions(T_world_cam, camera) * depth.reshape(-1, 1)
+        seen = jnp.ones(depth.shape, bool)
+        rgb = self.colour(p).reshape(*depth.shape, 3)
+        return RGBD(jnp.asarray(depth, jnp.float32), jnp.asarray(rgb, jnp.float32), seen, seen)
+
+    def to_map(self, origin: tuple[float, float, float], voxel_size: float, shape: tuple[int, int, int]) -> VoxelMap:
+        """Return a map whose cells hold the exact signed distance and colour, all of them observed."""
+        m = VoxelMap.prior(origin, voxel_size, shape)
+        p = cell_centres(m)
+        observed = jnp.full_like(m.occupancy_precision, 10.0)
+        return VoxelMap(
+            occupancy=m.blocked(jnp.asarray(self.occupancy(p), jnp.float32)),
+            occupancy_precision=observed,
+            colour=m.blocked(jnp.asarray(self.colour(p), jnp.float32)),
+            colour_precision=observed,
+            empty=m.empty,
+            origin=m.origin,
+            voxel_size=m.voxel_size,
+            blocks=m.blocks,
+        ).with_occupancy(m.blocked(jnp.asarray(self.occupancy(p), jnp.float32)))
+
+
+def cell_centres(m: VoxelMap) -> np.ndarray:
+    """Return world positions (nx, ny, nz, 3) of the cells, float64."""
+    cells = np.stack(np.meshgrid(*(np.arange(n) for n in m.shape), indexing="ij"), axis=-1)
+    return np.asarray(m.origin, float) + cells * float(m.voxel_size)
