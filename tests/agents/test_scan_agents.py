@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.scan_room import full_circle
+from tests.helpers.plane.scan_room import full_circle
 from vssm_gym.agents.navigation.scan_astar import ScanAStarAgent
 from vssm_gym.agents.navigation.scan_goal import ScanGoalAgent
 from vssm_gym.agents.navigation.scan_oracle import ScanOracleAgent

@@ -8,9 +8,9 @@ import pytest
 import shapely
 
 from tests.helpers.box_rooms import two_rooms
-from tests.helpers.maze_episodes import MAZE, TASK
+from tests.helpers.plane.maze_episodes import MAZE, TASK
+from tests.helpers.plane.scan_room import full_circle
 from tests.helpers.planning_worlds import voxel_map
-from tests.helpers.scan_room import full_circle
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy.agent import PolicyAgent
 from vssm_gym.agents.registry import AGENTS

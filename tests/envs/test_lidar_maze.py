@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.helpers.maze_episodes import ID, MAZE, TASK, act, make, random_actions, rollout
+from tests.helpers.plane.maze_episodes import ID, MAZE, TASK, act, make, random_actions, rollout
 from vssm_gym.envs.lidar_maze import LidarMazeEnv
 from vssm_gym.envs.maze_noise import MOTION_NOISE
 from vssm_gym.envs.tasks.mazes import MAZES, ROBOT, load_maze

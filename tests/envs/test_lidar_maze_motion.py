@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy import stats
 
-from tests.helpers.maze_episodes import LIDAR, MAZE, TASK, act, make, random_actions
+from tests.helpers.plane.maze_episodes import LIDAR, MAZE, TASK, act, make, random_actions
 from vssm_gym.envs.lidar_maze import LONGEST_RANGE
 from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE
 from vssm_gym.envs.physics.planar import scan

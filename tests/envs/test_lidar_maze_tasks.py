@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.helpers.maze_episodes import MAZE, TASK, act, make
+from tests.helpers.plane.maze_episodes import MAZE, TASK, act, make
 from vssm_gym.envs.lidar_maze import MAZE_REWARD
 from vssm_gym.envs.tasks.goal_progress import GoalDistance
 from vssm_gym.envs.tasks.maze_objectives import TILE

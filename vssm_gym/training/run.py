@@ -119,7 +119,7 @@ class Run:
         self.steps = row["steps"]
         whole_round = self.steps - self._session_steps >= first_round(self.config)
         enough = row["success"] is not None and row["episodes"] >= ENOUGH_EPISODES and whole_round
-        clock = {"seconds": round(self.seconds, 2), "preparing": round(self.preparing, 2)}
+        clock = {"seconds": round(self.seconds, 4), "preparing": round(self.preparing, 4)}
         return {**clock, **row, "enough": enough}
 
     def write_policy(self, layers: tuple[tuple[np.ndarray, np.ndarray], ...], squash: str) -> None:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.scan_room import AnalyticRoom, full_circle
+from tests.helpers.plane.scan_room import AnalyticRoom, full_circle
 from vssm_gym.errors import InputError
 from vssm_gym.inference.scan_encoder.encoder_file import load_encoder, save_encoder
 from vssm_gym.inference.scan_encoder.mode import pose_of

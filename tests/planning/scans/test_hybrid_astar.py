@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.scan_room import AnalyticRoom, full_circle
+from tests.helpers.plane.scan_room import AnalyticRoom, full_circle
 from vssm_gym.envs.physics.planar import clearance
 from vssm_gym.envs.tasks.mazes import ROBOT, load_maze
 from vssm_gym.errors import InputError

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.helpers.scan_room import AnalyticRoom, full_circle
+from tests.helpers.plane.scan_room import AnalyticRoom, full_circle
 from vssm_gym.errors import InputError
 from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.planning.scans.range_table import RangeTableConfig, range_table

@@ -1,0 +1,1 @@
+"""Scans of rooms in the plane, and episodes of mazes."""
