@@ -12,7 +12,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from vssm_gym.data.laser_logs import compose
 from vssm_gym.data.traversals import traverse
 from vssm_gym.envs.tasks.mazes import load_maze
 from vssm_gym.errors import InputError
@@ -20,6 +19,7 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import open_file
 from vssm_gym.files.npz_file import open_npz
 from vssm_gym.files.output_folders import ADVICE
+from vssm_gym.geometry.planar_poses import compose
 from vssm_gym.inference.scan_encoder.encoder_file import load_encoder, save_encoder
 from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.inference.scan_encoder.prior import VisitedPlaces

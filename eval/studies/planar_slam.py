@@ -6,10 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from vssm_gym.data.laser_logs import LaserLog, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.data.traversals import errors
 from vssm_gym.eval.studies.page import Study
 from vssm_gym.eval.studies.scan_graph.run import run_scan_graph
+from vssm_gym.geometry.planar_poses import relation
 from vssm_gym.maps.latent_grid import LatentGrid
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.latent_run import LatentRun, run_latent

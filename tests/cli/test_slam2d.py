@@ -35,7 +35,8 @@ def test_a_maze_from_end_to_end(tmp_path, capsys):
 def test_a_log_is_judged_by_its_loops(tmp_path, capsys):
     log = traverse(load_maze("rooms-v1"), STEPS, seed=2)
     true = log.poses
-    from vssm_gym.data.laser_logs import LaserLog, relation
+    from vssm_gym.data.laser_logs import LaserLog
+    from vssm_gym.geometry.planar_poses import relation
 
     pairs = np.array([[0, 60], [10, STEPS]])
     judged = LaserLog(

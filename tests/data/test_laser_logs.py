@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vssm_gym.data.laser_logs import LaserLog, compose, read_laser_log, relation, write_laser_log
+from vssm_gym.data.laser_logs import LaserLog, read_laser_log, write_laser_log
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.planar_poses import compose, relation
 
 poses = st.tuples(*[st.floats(-50.0, 50.0)] * 2, st.floats(-3.1, 3.1)).map(np.array)
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from vssm_gym.data.laser_logs import compose
 from vssm_gym.data.traversals import Operator, errors, traverse
 from vssm_gym.envs.physics.planar import scan
 from vssm_gym.envs.tasks.maze_objectives import MazeCoverage
 from vssm_gym.envs.tasks.mazes import MAZES, load_maze
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.planar_poses import compose
 
 
 @pytest.mark.parametrize("name", MAZES)

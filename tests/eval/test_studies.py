@@ -10,8 +10,7 @@ import pytest
 
 from tests.helpers.box_rooms import furniture, two_rooms
 from tests.viz.hostile_text import KINDS, MARKUP, Change, changed, check_page, harmless, suffix
-from vssm_gym.cli import study as commands
-from vssm_gym.cli.study import map_update
+from vssm_gym.cli.studies import recordings as commands
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
@@ -106,13 +105,13 @@ def test_the_answer_follows_the_figures() -> None:
 @pytest.mark.parametrize(("field", "change"), [("frames", {"frames": 5}), ("voxel", {"voxel": 0.0})])
 def test_bad_options_are_named(tmp_path, field: str, change: dict) -> None:
     with pytest.raises(InputError, match=field):
-        map_update(tmp_path, tmp_path / "out", **change)
+        commands.map_update(tmp_path, tmp_path / "out", **change)
 
 
 @pytest.mark.slow
 def test_the_study_on_a_real_sequence(shared_data, tmp_path) -> None:
     """The closed form is better than as many milliseconds of gradient descent (PRISM, fig. 6)."""
-    map_update(shared_data / "tum_fr1_xyz", tmp_path, size="80x60", frames=20, voxel=0.08)
+    commands.map_update(shared_data / "tum_fr1_xyz", tmp_path, size="80x60", frames=20, voxel=0.08)
     figures = json.loads((tmp_path / "map-update.json").read_text())["figures"]
     assert set(figures) == {"closed form", "1 steps", "4 steps", "16 steps", "64 steps"}
     assert figures["closed form"]["log_likelihood"] > figures["1 steps"]["log_likelihood"]

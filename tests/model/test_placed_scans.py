@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.helpers.plane.scan_room import AnalyticRoom, full_circle
-from vssm_gym.data.laser_logs import compose
+from vssm_gym.geometry.planar_poses import compose
 from vssm_gym.model.placed_scans import PlacedScans
 from vssm_gym.model.scan_model import ScanModel
 

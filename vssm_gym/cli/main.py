@@ -41,17 +41,17 @@ COMMANDS: dict[str, Any] = {
     "evaluate-trajectory": "evaluate_trajectory.evaluate_trajectory",
     "bench": "bench.bench",
     "study": {
-        "map-update": "study.map_update",
-        "resolution": "study.resolution",
-        "runtime": "study.runtime",
-        "calibration": "study.calibration",
-        "map-reliability": "study.map_reliability",
-        "flight": "study.flight",
-        "relocalisation": "study.relocalisation",
-        "smoothing": "study.smoothing",
-        "pose-flow": "study.pose_flow",
-        "pose-ambiguity": "study.pose_ambiguity",
-        "maze-exploration": "study.maze_exploration",
+        "map-update": "studies.recordings.map_update",
+        "resolution": "studies.recordings.resolution",
+        "runtime": "studies.recordings.runtime",
+        "calibration": "studies.recordings.calibration",
+        "map-reliability": "studies.simulated.map_reliability",
+        "flight": "studies.simulated.flight",
+        "relocalisation": "studies.posteriors.relocalisation",
+        "smoothing": "studies.simulated.smoothing",
+        "pose-flow": "studies.posteriors.pose_flow",
+        "pose-ambiguity": "studies.posteriors.pose_ambiguity",
+        "maze-exploration": "studies.mazes.maze_exploration",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",
@@ -130,7 +130,7 @@ def _deferred(target: str, brief: bool) -> Callable[..., Callable[[], Any]]:
 
     The command then runs outside the parser, which would report its ValueError as a wrong option.
     """
-    file, name = target.split(".")
+    file, name = target.rsplit(".", 1)
     function = getattr(importlib.import_module(f"vssm_gym.cli.{file}"), name)
 
     @functools.wraps(function)

@@ -15,7 +15,7 @@ from typing import Literal, overload
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.data.laser_logs import LaserLog, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.data.strip_logs import StripLog
 from vssm_gym.envs.lidar_maze import LONGEST_RANGE, LidarMazeEnv
 from vssm_gym.envs.robots import ExecutionNoise
@@ -26,6 +26,7 @@ from vssm_gym.envs.tasks.geodesic import Geodesics
 from vssm_gym.envs.tasks.maze_objectives import TILE, MazeCoverage
 from vssm_gym.envs.tasks.mazes import ROBOT, Maze
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.planar_poses import relation
 from vssm_gym.geometry.transforms import wrap_angle
 
 SIDE_MARGINS = (0.02, 0.01, 0.005, 0.0)  # m at the robot's sides, tried in this order: the first that cuts off nothing

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.maps.latent_grid import LatentGrid
+from vssm_gym.model.huber import huber_log_prob
 from vssm_gym.model.scanner import Scanner
 
 FULL_TURN = 2.0 * jnp.pi  # rad
@@ -89,9 +90,7 @@ class LatentScans(eqx.Module):
     def log_prob(self, ranges: Float[Array, "beams"], state: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Return the log density of the beams that have measured, up to the constant of the Huber density, nats."""
         mean, variance = self.predict(state)
-        variance = variance + self.std**2
-        e = jnp.abs(ranges - mean) / jnp.sqrt(variance)
-        nats = -jnp.where(e < self.huber, 0.5 * e**2, self.huber * (e - 0.5 * self.huber)) - 0.5 * jnp.log(variance)
+        nats = huber_log_prob(ranges - mean, variance + self.std**2, self.huber)
         return self.counted * jnp.sum(jnp.where(ranges > 0.0, nats, 0.0), axis=-1)
 
     def sample(self, key: PRNGKeyArray, state: Float[Array, "*batch 3"]) -> Float[Array, "*batch beams"]:

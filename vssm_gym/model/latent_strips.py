@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from vssm_gym.maps.latent_grid import LatentGrid
+from vssm_gym.model.huber import huber_log_prob
 from vssm_gym.model.latent_scans import FULL_TURN, at_bearing
 
 COLOURS = 3  # channels of an image; a chart holds one after the other
@@ -47,9 +48,7 @@ class LatentStrips(eqx.Module):
     def log_prob(self, strip: Float[Array, "pixels"], state: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Return the log density of a strip, up to the constant of the Huber density, nats."""
         mean, variance = self.predict(state)
-        variance = variance + self.std**2
-        e = jnp.abs(strip - mean) / jnp.sqrt(variance)
-        nats = -jnp.where(e < self.huber, 0.5 * e**2, self.huber * (e - 0.5 * self.huber)) - 0.5 * jnp.log(variance)
+        nats = huber_log_prob(strip - mean, variance + self.std**2, self.huber)
         return self.counted * jnp.sum(nats, axis=-1)
 
 

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from vssm_gym.data.laser_logs import LaserLog, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.planar_poses import relation
 from vssm_gym.inference.planar import PlanarPrism, PlanarState
 from vssm_gym.inference.planar.config import PlanarConfig
 from vssm_gym.maps.planar_map import PlanarMap

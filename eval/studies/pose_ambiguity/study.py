@@ -14,13 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from vssm_gym.data.laser_logs import LaserLog, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.data.traversals import traverse
 from vssm_gym.envs.tasks.mazes import load_maze
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.page import Study, labelled
 from vssm_gym.eval.studies.pose_ambiguity.modes import AT_HEADING, AT_POSE, LEAST_OF_MODE, MASS_HELD, Spread, spread
 from vssm_gym.eval.studies.pose_ambiguity.picture import Moment, draw
+from vssm_gym.geometry.planar_poses import relation
 from vssm_gym.inference.particles import BootstrapFilter, ParticleBelief
 from vssm_gym.maps.planar_map import PlanarMap
 from vssm_gym.model.scan_emission import OccupancyScans, ScanLikelihood

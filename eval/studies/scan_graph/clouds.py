@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from vssm_gym.data.laser_logs import LaserLog, compose
+from vssm_gym.data.laser_logs import LaserLog
+from vssm_gym.geometry.planar_poses import compose
 
 SURFACE_RADII = (3.0, 6.0)  # cells around a place, of the points that make its normal: the first that has enough
 FEWEST_NEIGHBOURS = 3  # points that make a normal

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.data.laser_logs import relation
 from vssm_gym.eval.foreign_process import ForeignProcess
+from vssm_gym.geometry.planar_poses import relation
 
 GTSAM_COMMAND = (sys.executable, "-m", "vssm_gym.eval.studies.scan_graph.gtsam_program")
 UPPER = np.triu_indices(3)  # row and column of each number of a symmetric matrix that is sent

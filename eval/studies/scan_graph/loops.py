@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.data.laser_logs import compose, relation
 from vssm_gym.eval.studies.scan_graph.correlative import search
 from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 from vssm_gym.eval.studies.scan_graph.matching import Match, match
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, TRACKED, Submaps
+from vssm_gym.geometry.planar_poses import compose, relation
 
 LOOP_CELLS = 15.0  # cells from a submap's nearest keyframe
 DRIFT = 0.1  # of the way between two keyframes, the most that their distance may be off by

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.data.laser_logs import compose, relation
 from vssm_gym.eval.studies.scan_graph.clouds import Cloud, Points, rotation
+from vssm_gym.geometry.planar_poses import compose, relation
 
 MATCH_STEPS = 20  # Gauss-Newton steps at most
 MATCH_SETTLED = 1e-2  # cells, and hundredths of a rad, of the last step

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.data.laser_logs import LaserLog, compose, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.scan_graph.clouds import Cloud, points_of
 from vssm_gym.eval.studies.scan_graph.correlative import field, search
@@ -24,6 +24,7 @@ from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 from vssm_gym.eval.studies.scan_graph.loops import LEAST_MATCHED, LoopSearch, match_covariance
 from vssm_gym.eval.studies.scan_graph.matching import Match, match
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, Submaps
+from vssm_gym.geometry.planar_poses import compose, relation
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam.planar_run import FLOOR_CELLS, FLOOR_TURN, SHARES
 

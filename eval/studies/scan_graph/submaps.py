@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.data.laser_logs import relation
 from vssm_gym.eval.studies.scan_graph import correlative
 from vssm_gym.eval.studies.scan_graph.clouds import Cloud, Points, surface, together
+from vssm_gym.geometry.planar_poses import relation
 
 SUBMAP = 10  # keyframes of a submap
 TRACKED = 12  # newest keyframes, that the next scan is matched to

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vssm_gym.data.laser_logs import LaserLog, compose, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.data.traversals import errors, traverse
 from vssm_gym.envs.physics.planar import scan
 from vssm_gym.envs.tasks.mazes import load_maze
 from vssm_gym.errors import InputError
+from vssm_gym.geometry.planar_poses import compose, relation
 from vssm_gym.inference.particles import BootstrapFilter, ParticleBelief
 from vssm_gym.inference.planar import PlanarPrism
 from vssm_gym.inference.planar.config import PlanarConfig

@@ -1,5 +1,6 @@
 """Test that an encoder recovers poses in a room whose scans are a formula, and covers places that look alike."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from tests.helpers.plane.scan_room import AnalyticRoom, full_circle
 from vssm_gym.errors import InputError
 from vssm_gym.inference.scan_encoder.encoder_file import load_encoder, save_encoder
-from vssm_gym.inference.scan_encoder.mode import pose_of
+from vssm_gym.inference.scan_encoder.mode import MODES_APART, modes_of
 from vssm_gym.inference.scan_encoder.network import PoseMixture
 from vssm_gym.inference.scan_encoder.prior import VisitedPlaces
 from vssm_gym.inference.scan_encoder.training import EncoderConfig, elbo, fit_encoder
@@ -52,7 +53,7 @@ def test_densities_integrate_to_one():
 def test_poses_of_a_room_are_recovered(encoder):
     states = truth(20, seed=5)
     scans = np.asarray(PILLAR.ranges(states))
-    found = np.array([pose_of(encoder, PILLAR, scan, 0)[0] for scan in scans])
+    found = np.array([modes_of(encoder, PILLAR, scan, 0).poses[0] for scan in scans])
     assert np.sort(np.hypot(*(found - states)[:, :2].T))[-2] < 0.012
     assert np.abs(np.angle(np.exp(1j * (found - states)[:, 2]))).max() < 0.05
 
@@ -76,9 +77,24 @@ def test_places_that_look_alike_are_all_held():
     scan = BARE.ranges(jnp.asarray(state, jnp.float32))
     densities = encoder(scan).log_prob(jnp.asarray(np.stack([state, other]), jnp.float32))
     assert np.asarray(densities).min() > 0.0
-    found, score = pose_of(encoder, BARE, np.asarray(scan), 0)
-    assert min(np.hypot(*(found - pose)[:2]) for pose in (state, other)) < 0.02
-    assert np.isfinite(score)
+    found = modes_of(encoder, BARE, np.asarray(scan), 0)
+    for pose in (state, other):
+        assert np.hypot(*(found.poses[:2] - pose)[:, :2].T).min() < 0.01
+    assert found.scores[1] == pytest.approx(found.scores[0], abs=1.0)
+    assert (np.diff(found.scores) <= 0.0).all()
+    apart = np.hypot(*np.moveaxis(found.poses[:, None, :2] - found.poses[None, :, :2], -1, 0))
+    assert apart[~np.eye(len(apart), dtype=bool)].min() >= MODES_APART - 1e-6
+
+
+def test_a_wrong_encoder_does_not_hide_a_place(encoder):
+    """The prior proposes too: a network that points elsewhere with certainty costs nothing but its draws."""
+    lost = eqx.tree_at(
+        lambda e: e.layers[-1], encoder, (0.0 * encoder.layers[-1][0], 0.0 * encoder.layers[-1][1] - 3.0)
+    )
+    states = truth(10, seed=8)
+    scans = np.asarray(PILLAR.ranges(states))
+    found = np.array([modes_of(lost, PILLAR, scan, 0).poses[0] for scan in scans])
+    assert np.hypot(*(found - states)[:, :2].T).max() < 0.02
 
 
 def test_the_bound_rises_and_stays_below_the_evidence():

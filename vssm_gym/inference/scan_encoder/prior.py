@@ -11,11 +11,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from vssm_gym.errors import InputError
 
-MOST_KERNELS = 512  # places that are kept of a drive, evenly spread in time
+MOST_KERNELS = 1024  # places that are kept of a drive
 
 
 class VisitedPlaces(eqx.Module):
     """Hold a kernel density of the places that a drive has visited, as the filter of the drive has estimated them.
+
+    How often it was at a place does not count: kernels are evenly spread over the plane, at most one in a square whose
+    side is their standard deviation.
 
     Attributes:
         places: x, y, m.
@@ -38,8 +41,12 @@ class VisitedPlaces(eqx.Module):
         """
         if not len(poses) or not std > 0.0:
             raise InputError("VisitedPlaces", "poses", f"one or more, and a std above 0 m; found {len(poses)}, {std!r}")
-        chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_KERNELS)).round().astype(int))
-        return cls(jnp.asarray(np.asarray(poses)[chosen, :2], jnp.float32), jnp.float32(std))
+        xy = np.asarray(poses)[:, :2]
+        first = np.unique(np.floor(xy / std).astype(np.int64), axis=0, return_index=True)[1]
+        chosen = np.sort(first)[
+            np.unique(np.linspace(0, len(first) - 1, min(len(first), MOST_KERNELS)).round().astype(int))
+        ]
+        return cls(jnp.asarray(xy[chosen], jnp.float32), jnp.float32(std))
 
     def sample(self, key: PRNGKeyArray, draws: int) -> Float[Array, "draws 3"]:
         """Draw poses."""

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from vssm_gym.data.laser_logs import LaserLog, compose, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.envs.physics.planar import scan
+from vssm_gym.geometry.planar_poses import compose, relation
 
 BEAMS = 120
 REACH = 3.0  # m

@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.eval.studies.scan_graph.optimisers import OPTIMISERS
-from vssm_gym.data.laser_logs import compose, relation
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
+from vssm_gym.geometry.planar_poses import compose, relation
 
 STEP = np.array([1.0, 0.0, np.pi / 2])
 COVARIANCE = np.diag([0.01, 0.02, 0.005])

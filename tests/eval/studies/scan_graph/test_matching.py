@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from tests.eval.studies.scan_graph.corridor import ALONG, BEAMS, REACH, WALLS, box, drive, scans
-from vssm_gym.data.laser_logs import LaserLog, compose, relation
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.eval.studies.scan_graph import correlative
 from vssm_gym.eval.studies.scan_graph.clouds import Points, points_of, surface, together
 from vssm_gym.eval.studies.scan_graph.matching import match
+from vssm_gym.geometry.planar_poses import compose, relation
 
 CELL = 0.1
 CORNER = np.array([ALONG[0] + 0.4, ALONG[0] + 0.1, 0.3])

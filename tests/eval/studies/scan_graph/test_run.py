@@ -10,7 +10,7 @@ import pytest
 from tests.eval.studies.scan_graph.corridor import drive
 from tests.eval.studies.scan_graph.optimisers import GTSAM_COMMAND, LEAST_SQUARES, OPTIMISERS, needs_gtsam
 from vssm_gym.cli.slam import slam2d
-from vssm_gym.data.laser_logs import LaserLog, compose
+from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.data.traversals import errors, traverse
 from vssm_gym.envs.tasks.mazes import load_maze
 from vssm_gym.errors import InputError
@@ -20,6 +20,7 @@ from vssm_gym.eval.studies.scan_graph.graph import Factor, PoseGraph
 from vssm_gym.eval.studies.scan_graph.loops import LoopSearch
 from vssm_gym.eval.studies.scan_graph.run import REFINEMENTS, run_scan_graph
 from vssm_gym.eval.studies.scan_graph.submaps import SUBMAP, Submaps
+from vssm_gym.geometry.planar_poses import compose
 
 CELL = 0.1
 
