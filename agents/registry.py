@@ -30,6 +30,7 @@ from vssm_gym.agents.navigation.no_map import NoMapAgent
 from vssm_gym.agents.navigation.oracle import OracleAgent
 from vssm_gym.agents.navigation.random import RandomAgent
 from vssm_gym.agents.navigation.scan_astar import ScanAStarAgent
+from vssm_gym.agents.navigation.scan_astar_latent import ScanAStarLatentAgent
 from vssm_gym.agents.navigation.scan_goal import ScanGoalAgent
 from vssm_gym.agents.navigation.scan_oracle import ScanOracleAgent
 from vssm_gym.agents.navigation.slam_image import SlamImageAgent
@@ -73,6 +74,7 @@ AGENTS: dict[str, type[Agent]] = {
         DwaAgent,
         DistBugAgent,
         ScanAStarAgent,
+        ScanAStarLatentAgent,
         ScanGoalAgent,
         ScanOracleAgent,
         MiExplorerAgent,

@@ -65,6 +65,8 @@ def run(episode: Episode, agent: Agent, task_file: Path, learned: LearnedMaze | 
     model: ScanModel | None = None if learned is None else learned.model
     if getattr(agent, "needs_true_map", False):
         model = _true_map(c.scene)
+    elif getattr(agent, "needs_latent_map", False) and learned is not None:
+        model = learned.latent(_maze(c.scene))
     return run_episode(
         made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, observe_pose=agent.needs_pose, **goal),
         _maze(c.scene).sampler,

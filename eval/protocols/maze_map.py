@@ -13,28 +13,33 @@ import jax.numpy as jnp
 import numpy as np
 
 from vssm_gym.data.traversals import traverse
-from vssm_gym.envs.tasks.mazes import load_maze
+from vssm_gym.envs.tasks.mazes import Maze, load_maze
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import open_file
 from vssm_gym.files.npz_file import open_npz
 from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.planar_poses import compose
+from vssm_gym.inference.latent.config import LatentConfig
+from vssm_gym.inference.latent.scan_charts import ScanCharts
 from vssm_gym.inference.scan_encoder.encoder_file import load_encoder, save_encoder
 from vssm_gym.inference.scan_encoder.network import ScanEncoder
 from vssm_gym.inference.scan_encoder.prior import VisitedPlaces
 from vssm_gym.inference.scan_encoder.training import fit_encoder
+from vssm_gym.maps.latent_file import load_latent_grid, save_latent_grid
 from vssm_gym.maps.planar_map import PlanarMap
 from vssm_gym.model.placed_scans import PlacedScans
 from vssm_gym.model.scan_emission import OccupancyScans
 from vssm_gym.model.scan_model import ScanModel
 from vssm_gym.model.scanner import Scanner
 from vssm_gym.progress import OnProgress
+from vssm_gym.slam.latent_run import run_latent
 from vssm_gym.slam.planar_run import run_scans
 from vssm_gym.version import package_version
 
 TRAVERSAL_STEPS = 3000  # commands: they visit 95 % of the tiles or more
 MAZE_CELL = 0.01  # m, of the map
+LATENT_MAZE_CELL = 0.05  # m, of the latent grid
 MAZE_NOISE = "low"  # of the traversal's motion and ranges
 # m, and share of the beams that count: the errors of a map are common to all of them. On pillars-v1 the squared errors
 # of filtered poses are then 0.9 times the variance stated.
@@ -92,12 +97,30 @@ class LearnedMaze:
     """
 
     def __init__(self, path: Path) -> None:
-        arrays, _ = _read(path)
+        arrays, origin = _read(path)
         m = PlanarMap(*(jnp.asarray(arrays[name]) for name in _ARRAYS[:4]))
         scanner = Scanner(jnp.asarray(arrays["angles"]), jnp.zeros(3), jnp.asarray(arrays["max_range"]))
         scans = OccupancyScans(m, scanner, READING_SCALE, READING_SHARE)
-        self.model: ScanModel = PlacedScans(scans, jnp.asarray(arrays["frame"]))
+        self._frame, self._seed = jnp.asarray(arrays["frame"]), int(origin["seed"])
+        self.model: ScanModel = PlacedScans(scans, self._frame)
         self.poses, self._path = arrays["poses"], path
+        self._latent: ScanModel | None = None
+
+    def latent(self, maze: Maze) -> ScanModel:
+        """Return the model of a latent grid, learned from the same drive at first use and kept beside the map.
+
+        Args:
+            maze: of the map; its drive is made again from the seed.
+        """
+        if self._latent is None:
+            kept = self._path.with_name(f"{self._path.stem}-latent.npz")
+            scanner = self.model.scanner
+            if not kept.exists():
+                log = traverse(maze, TRAVERSAL_STEPS, self._seed, MAZE_NOISE, MAZE_NOISE)
+                save_latent_grid(kept, run_latent(log, LATENT_MAZE_CELL, passes=1).model.m)
+            charts = ScanCharts(scanner, LatentConfig())
+            self._latent = PlacedScans(charts.model(load_latent_grid(kept)), self._frame)
+        return self._latent
 
     @cached_property
     def encoder(self) -> ScanEncoder:
@@ -134,4 +157,6 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         raise InputError(path, "poses", f"rows of 3; found {arrays['poses'].shape}")
     if arrays["occupancy"].ndim != 2 or arrays["angles"].ndim != 1 or not isinstance(header, dict):
         raise InputError(path, "file", expected)
+    if not isinstance(header.get("seed"), int):
+        raise InputError(path, "seed", f"a whole number; found {header.get('seed')!r}")
     return arrays, header

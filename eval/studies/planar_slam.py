@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from vssm_gym.data.laser_logs import LaserLog
+from vssm_gym.data.strip_logs import StripLog
 from vssm_gym.data.traversals import errors
 from vssm_gym.eval.studies.page import Study
 from vssm_gym.eval.studies.scan_graph.run import run_scan_graph
@@ -65,7 +66,7 @@ def run(
         estimates[LATENT] = latent.poses
     if classical:
         estimates[GRAPH] = classical.poses
-    figures: dict[str, dict[str, Any]] = {method: _judged(log, poses) for method, poses in estimates.items()}
+    figures: dict[str, dict[str, Any]] = {method: judged(log, poses) for method, poses in estimates.items()}
     if classical:
         figures[GRAPH] |= {"scans_per_second": len(log) / classical.seconds, "loops_closed": classical.loops}
     if latent:
@@ -77,7 +78,7 @@ def run(
         question=f"Where was the robot, and what is there? {name}",
         answer=_answer(figures, len(log)),
         header=HEADER,
-        lines=[_line(method, figures[method]) for method in estimates],
+        lines=[row_of(method, figures[method]) for method in estimates],
         picture=_picture(log, found, latent, estimates),
         setting={
             "log": name,
@@ -98,12 +99,13 @@ def run(
     return study, found, latent
 
 
-def _judged(log: LaserLog, poses: np.ndarray) -> dict[str, Any]:
+def judged(log: LaserLog | StripLog, poses: np.ndarray) -> dict[str, Any]:
+    """Return the errors of poses, m: at the end, in the mean, and over loops; None where the log does not know."""
     figures: dict[str, Any] = {"end": None, "mean": None, "loops": None}
     if log.poses is not None:
         off = errors(log, poses)
         figures |= {"end": float(off[-1]), "mean": float(off.mean())}
-    if len(log.loops):
+    if isinstance(log, LaserLog) and len(log.loops):
         apart, turn = loop_errors(log, poses).T
         figures["loops"] = {
             "number": len(apart),
@@ -114,7 +116,8 @@ def _judged(log: LaserLog, poses: np.ndarray) -> dict[str, Any]:
     return figures
 
 
-def _line(method: str, figures: dict[str, Any]) -> list[str]:
+def row_of(method: str, figures: dict[str, Any]) -> list[str]:
+    """Return the row of a method under :data:`HEADER`."""
     cell = lambda value, digits=3: "" if value is None else f"{value:.{digits}f}"
     loops = figures["loops"] or {}
     of_loops = [cell(loops.get("mean")), cell(loops.get("median")), cell(loops.get("turn"), 2)]

@@ -2,13 +2,16 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.helpers.plane.scan_room import full_circle
+from vssm_gym.agents.navigation import scan_goal
 from vssm_gym.agents.navigation.scan_astar import ScanAStarAgent
-from vssm_gym.agents.navigation.scan_goal import ScanGoalAgent
+from vssm_gym.agents.navigation.scan_astar_latent import ScanAStarLatentAgent
+from vssm_gym.agents.navigation.scan_goal import RULED_OUT, ScanGoalAgent
 from vssm_gym.agents.navigation.scan_oracle import ScanOracleAgent
 from vssm_gym.agents.shared.scans.following import ahead_of, follow, free_ahead, progress
 from vssm_gym.agents.shared.scans.surprises import Surprises
@@ -20,6 +23,8 @@ from vssm_gym.eval.protocols import maze_map
 from vssm_gym.eval.protocols.agent_context import agent_context, context_in
 from vssm_gym.eval.protocols.episode import run_episode
 from vssm_gym.eval.protocols.exact_scans import ExactScans
+from vssm_gym.inference.scan_encoder.mode import ScanModes
+from vssm_gym.inference.scan_encoder.network import new_encoder
 from vssm_gym.inference.scan_encoder.prior import VisitedPlaces
 from vssm_gym.inference.scan_encoder.training import EncoderConfig, fit_encoder
 from vssm_gym.planning.scans.range_table import RangeTable
@@ -76,6 +81,11 @@ def test_a_learned_maze_is_navigated_from_end_to_end(tmp_path):
     assert episode(ScanAStarAgent(), 222, learned.model)["success"]
     assert episode(ScanGoalAgent(), 222, learned.model, learned.encoder)["success"]
     assert path.with_name("pillars-v1-encoder.npz").is_file()
+    row = episode(ScanAStarLatentAgent(), 222, learned.latent(MAZE))
+    assert row["success"] and row["location_error_max"] < 0.08
+    again = maze_map.load_map(path).latent(MAZE)  # from the file
+    states = jnp.asarray(learned.poses[:5])
+    np.testing.assert_allclose(again.ranges(states), learned.latent(MAZE).ranges(states), atol=1e-4)
 
 
 @pytest.mark.slow
@@ -84,6 +94,20 @@ def test_a_goal_is_found_by_its_scan():
     poses = np.concatenate([MAZE.space.sample(np.random.default_rng(1), 400), np.zeros((400, 1))], axis=1)
     encoder, _ = fit_encoder(EXACT, VisitedPlaces.of(poses, 0.02), EncoderConfig(scans=8192, updates=2000, batch=128))
     assert np.mean([episode(ScanGoalAgent(), task, encoder=encoder)["success"] for task in (60, 300, 480)]) == 1.0
+
+
+def test_an_episode_that_goes_on_sends_it_to_the_next_place(monkeypatch):
+    """Two places explain the scan and the likelier one is wrong: its stop ends nothing, and it drives to the other."""
+    task = MAZE.tasks.tasks[60]
+    other = next(t.goal for t in MAZE.tasks.tasks if 0.2 < math.dist(t.goal, task.goal) < 0.3)
+    places = np.array([[*other, 0.0], [*task.goal, 0.0], [0.5, 0.5, 0.0]])
+    found = ScanModes(places, np.array([3.0, 2.5, 2.0 - RULED_OUT]))
+    monkeypatch.setattr(scan_goal, "modes_of", lambda *_: found)
+    encoder = new_encoder(jax.random.key(0), 64, 1.5, VisitedPlaces.of(places, 0.02), 8, 2)
+    row = episode(ScanGoalAgent(), 60, encoder=encoder, end_on="reach")
+    assert row["success"] and row["responses"]["another place"] == 1
+    stopped = episode(ScanGoalAgent(), 60, encoder=encoder, end_on="stop")
+    assert not stopped["success"] and stopped["responses"]["another place"] == 0
 
 
 def test_the_true_pose_changes_nothing(navigator):

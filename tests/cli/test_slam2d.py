@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from vssm_gym.cli.slam import slam2d
+from vssm_gym.cli.slam2d import slam2d
 from vssm_gym.data.laser_logs import write_laser_log
 from vssm_gym.data.traversals import errors, traverse
 from vssm_gym.envs.tasks.mazes import load_maze
@@ -61,6 +61,16 @@ def test_a_latent_grid_beside_it(tmp_path):
     assert len(found["latent grid"]["log_evidence"]) == 2
 
 
+def test_a_camera_in_the_place_of_the_scanner(tmp_path, capsys):
+    slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1, sensor="camera", scans="10:110", passes=1)
+    poses = np.loadtxt(tmp_path / "out" / "trajectory.txt")
+    off = errors(traverse(load_maze("pillars-v1"), STEPS, 1, sensor="camera").part(10, 110), poses)
+    figures = json.loads((tmp_path / "out" / "slam2d.json").read_text())["figures"]
+    assert figures["latent grid"]["end"] == pytest.approx(off[-1], abs=1e-5)
+    assert off[-1] < 1.2 * figures["path integration"]["end"] + 0.005
+    assert "100 strips" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -71,6 +81,9 @@ def test_a_latent_grid_beside_it(tmp_path):
         ({"log": "pillars-v1", "steps": 9, "scans": "4:11"}, "scans: expected FIRST:LAST"),
         ({"log": "pillars-v1", "steps": 9, "scans": "all"}, "scans: expected FIRST:LAST"),
         ({"log": "pillars-v1", "noise": "loud", "steps": 5}, "noise"),
+        ({"log": "drive.log", "sensor": "camera"}, "sensor: expected lidar for a file"),
+        ({"log": "pillars-v1", "sensor": "camera", "baseline": True}, "sensor: expected lidar with --baseline"),
+        ({"log": "pillars-v1", "sensor": "camera", "max_range": 1.0}, "sensor: expected lidar with --baseline"),
     ],
 )
 def test_what_does_not_fit_is_refused(tmp_path, given, message):

@@ -40,6 +40,8 @@ from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.scan_encoder.encoder_file import load_encoder, save_encoder
 from vssm_gym.inference.scan_encoder.network import new_encoder
 from vssm_gym.inference.scan_encoder.prior import VisitedPlaces
+from vssm_gym.maps.latent_file import load_latent_grid, save_latent_grid
+from vssm_gym.maps.latent_grid import ChartDecoder, LatentGrid
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.posterior import Posterior
 from vssm_gym.model.transition.learned_file import calibrated, load_transition, save_transition
@@ -248,6 +250,7 @@ def _learned(folder: Path) -> None:
     save_transition(folder / "learned.npz", transition, "car", {"updates": 1})
 
 
+_CHARTS = ChartDecoder(jnp.float32(0.5), jnp.eye(3, 6))
 _PLACES = VisitedPlaces.of(np.array([[0.2, 0.3], [0.7, 0.6]]), 0.02)
 
 READERS: dict[str, Reader] = {
@@ -278,6 +281,10 @@ READERS: dict[str, Reader] = {
         lambda d: read_exploration(d / "rows.jsonl"),
     ),
     "learned transition": Reader(_learned, lambda d: load_transition(d / "learned.npz")),
+    "latent grid": Reader(
+        lambda d: save_latent_grid(d / "charts.npz", LatentGrid.prior(np.zeros(2), np.ones(2), 0.5, _CHARTS)),
+        lambda d: load_latent_grid(d / "charts.npz"),
+    ),
     "scan encoder": Reader(
         lambda d: save_encoder(d / "encoder.npz", new_encoder(jax.random.key(0), 8, 1.5, _PLACES, 8, 2)),
         lambda d: load_encoder(d / "encoder.npz", _PLACES, 1.5),

@@ -37,7 +37,7 @@ COMMANDS: dict[str, Any] = {
     "merge": "merge.merge",
     "report": "report.report",
     "slam": "slam.slam",
-    "slam2d": "slam.slam2d",
+    "slam2d": "slam2d.slam2d",
     "evaluate-trajectory": "evaluate_trajectory.evaluate_trajectory",
     "bench": "bench.bench",
     "study": {

@@ -31,3 +31,8 @@ class StripLog:
     def path(self) -> Float[np.ndarray, "scans 3"]:
         """Return the poses by the odometry alone, from the origin: path integration."""
         return integrated(self.motions)
+
+    def part(self, first: int, last: int) -> "StripLog":
+        """Return the strips from ``first`` to before ``last``."""
+        poses = None if self.poses is None else self.poses[first:last]
+        return StripLog(self.images[first:last], self.angles, self.motions[first : last - 1], poses)

@@ -98,6 +98,22 @@ class LatentGrid(eqx.Module):
         chart, spread = none + decoder.mean, jnp.broadcast_to(decoder.prior_std, shape)
         return cls(none, none, chart, spread, jnp.asarray(low, jnp.float32), jnp.float32(cell_size), decoder)
 
+    @classmethod
+    def of(
+        cls,
+        weight: Float[Array, "nx ny bearings"],
+        moment: Float[Array, "nx ny bearings"],
+        origin: Float[Array, "2"],
+        cell_size: Float[Array, ""],
+        decoder: ChartDecoder,
+    ) -> "LatentGrid":
+        """Return the map of natural parameters, see the attributes."""
+        mean, root = decoder.posterior(weight, moment)
+        basis = jnp.broadcast_to(decoder.basis, (*root.shape[:2], *decoder.basis.shape))
+        through = jax.scipy.linalg.solve_triangular(root, basis, lower=True)
+        spread = jnp.sqrt(jnp.sum(through**2, axis=-2))
+        return cls(weight, moment, decoder(mean), spread, origin, cell_size, decoder)
+
     def attention(
         self, xy: Float[Array, "*batch 2"]
     ) -> tuple[Int[Array, "*batch 4"], Int[Array, "*batch 4"], Float[Array, "*batch 4"], Float[Array, "*batch 4 2"]]:

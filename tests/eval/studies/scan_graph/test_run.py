@@ -9,7 +9,7 @@ import pytest
 
 from tests.eval.studies.scan_graph.corridor import drive
 from tests.eval.studies.scan_graph.optimisers import GTSAM_COMMAND, LEAST_SQUARES, OPTIMISERS, needs_gtsam
-from vssm_gym.cli.slam import slam2d
+from vssm_gym.cli.slam2d import slam2d
 from vssm_gym.data.laser_logs import LaserLog
 from vssm_gym.data.traversals import errors, traverse
 from vssm_gym.envs.tasks.mazes import load_maze
