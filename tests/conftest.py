@@ -9,9 +9,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-# Under xdist each worker gets its share of the cores instead of all of them.
+# Under xdist each worker gets its share of the cores instead of all of them. Kept to them, XLA starts no more threads:
+# two workers with a thread for every core each wait for one another at every small operation.
 if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
     share = str(max(1, (os.cpu_count() or 1) // int(workers)))
+    if hasattr(os, "sched_setaffinity"):
+        cores, number = sorted(os.sched_getaffinity(0)), int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
+        os.sched_setaffinity(0, cores[number % len(cores) :: int(workers)])
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
         os.environ.setdefault(variable, share)
 os.environ.setdefault("MPLBACKEND", "Agg")
