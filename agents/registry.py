@@ -32,6 +32,7 @@ from vssm_gym.agents.navigation.random import RandomAgent
 from vssm_gym.agents.navigation.scan_astar import ScanAStarAgent
 from vssm_gym.agents.navigation.scan_astar_latent import ScanAStarLatentAgent
 from vssm_gym.agents.navigation.scan_goal import ScanGoalAgent
+from vssm_gym.agents.navigation.scan_goal_search import ScanGoalSearchAgent
 from vssm_gym.agents.navigation.scan_oracle import ScanOracleAgent
 from vssm_gym.agents.navigation.slam_image import SlamImageAgent
 from vssm_gym.agents.navigation.slam_nav import SlamNavAgent
@@ -76,6 +77,7 @@ AGENTS: dict[str, type[Agent]] = {
         ScanAStarAgent,
         ScanAStarLatentAgent,
         ScanGoalAgent,
+        ScanGoalSearchAgent,
         ScanOracleAgent,
         MiExplorerAgent,
         FrontierNearestAgent,

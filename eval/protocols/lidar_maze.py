@@ -60,8 +60,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, learned: LearnedMaze | 
     """Run one episode and return the measured fields of its row; a bound is given the true map."""
     c, tasks = episode.condition, tasks_in(task_file, TaskSet)
     by_scan = getattr(agent, "goal_by_scan", False)
-    # Two places may look the same: only the end of the episode can say that the place which was meant is reached
-    goal = {"goal": "scan", "end_on": "reach"} if by_scan else {"goal": "position", "end_on": "stop"}
+    goal = {"goal": "scan" if by_scan else "position", "end_on": getattr(agent, "end_on", "stop")}
     model: ScanModel | None = None if learned is None else learned.model
     if getattr(agent, "needs_true_map", False):
         model = _true_map(c.scene)

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from tests.helpers.plane.scan_room import full_circle
-from vssm_gym.agents.navigation import scan_goal
 from vssm_gym.agents.navigation.scan_astar import ScanAStarAgent
 from vssm_gym.agents.navigation.scan_astar_latent import ScanAStarLatentAgent
-from vssm_gym.agents.navigation.scan_goal import RULED_OUT, ScanGoalAgent
+from vssm_gym.agents.navigation.scan_goal import ScanGoalAgent
+from vssm_gym.agents.navigation.scan_goal_search import ScanGoalSearchAgent
 from vssm_gym.agents.navigation.scan_oracle import ScanOracleAgent
+from vssm_gym.agents.shared.scans import goal_by_scan
 from vssm_gym.agents.shared.scans.following import ahead_of, follow, free_ahead, progress
+from vssm_gym.agents.shared.scans.goal_by_scan import RULED_OUT
 from vssm_gym.agents.shared.scans.surprises import Surprises
 from vssm_gym.envs.lidar_maze import LidarMazeEnv
 from vssm_gym.envs.maze_noise import MOTION_NOISE
@@ -102,9 +104,9 @@ def test_an_episode_that_goes_on_sends_it_to_the_next_place(monkeypatch):
     other = next(t.goal for t in MAZE.tasks.tasks if 0.2 < math.dist(t.goal, task.goal) < 0.3)
     places = np.array([[*other, 0.0], [*task.goal, 0.0], [0.5, 0.5, 0.0]])
     found = ScanModes(places, np.array([3.0, 2.5, 2.0 - RULED_OUT]))
-    monkeypatch.setattr(scan_goal, "modes_of", lambda *_: found)
+    monkeypatch.setattr(goal_by_scan, "modes_of", lambda *_: found)
     encoder = new_encoder(jax.random.key(0), 64, 1.5, VisitedPlaces.of(places, 0.02), 8, 2)
-    row = episode(ScanGoalAgent(), 60, encoder=encoder, end_on="reach")
+    row = episode(ScanGoalSearchAgent(), 60, encoder=encoder, end_on="reach")
     assert row["success"] and row["responses"]["another place"] == 1
     stopped = episode(ScanGoalAgent(), 60, encoder=encoder, end_on="stop")
     assert not stopped["success"] and stopped["responses"]["another place"] == 0

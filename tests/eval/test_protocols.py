@@ -138,7 +138,8 @@ def test_a_sweep_runs_and_reports_from_end_to_end(tmp_path, text, episodes):
         (("pillars-v1", "oak"), r"scenes: expected a built-in scene \(pillars-v1, "),
         (
             ("dist_bug", "random"),
-            "agents: expected one of dist_bug, scan_astar, scan_astar_latent, scan_goal, scan_oracle; found 'random'",
+            "agents: expected one of dist_bug, scan_astar, scan_astar_latent, scan_goal, scan_goal_search, "
+            "scan_oracle; found 'random'",
         ),
         (("robot: disc", "robot: holonomic"), "robot: expected one of disc; found 'holonomic'"),
         (("[none, low]", "kinect"), "sensor_noise: expected one of none, low, mid, high; found 'kinect'"),

@@ -1,5 +1,6 @@
 """Run ``vssm-gym slam2d LOG --out DIR``: SLAM in the plane."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -66,10 +67,11 @@ def slam2d(
         raise InputError("slam2d", "passes", "0 without --latent: the occupancy map has one pass")
     if by_camera and log not in MAZES:
         raise InputError("slam2d", "sensor", f"lidar for a file; a camera drives through {', '.join(MAZES)}")
-    if by_camera and (baseline or max_range is not None):
-        raise InputError("slam2d", "sensor", "lidar with --baseline or --max-range: a strip of pixels has no ranges")
-    if not cell > 0.0:
-        raise InputError("slam2d", "cell", f"above 0 m, not {cell:g}")
+    if by_camera and (baseline or latent or max_range is not None):
+        expected = "lidar with --baseline, --latent or --max-range: strips of pixels have no ranges, and one method"
+        raise InputError("slam2d", "sensor", expected)
+    if not 0.0 < cell < math.inf:
+        raise InputError("slam2d", "cell", f"above 0 m and finite, not {cell:g}")
     check_folder(out)
     drive: LaserLog | StripLog
     if log in MAZES:

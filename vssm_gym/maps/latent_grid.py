@@ -53,6 +53,12 @@ class ChartDecoder(eqx.Module):
         mean = jax.scipy.linalg.cho_solve((root, True), (moment @ W.T)[..., None])[..., 0]
         return mean, root
 
+    def spread(self, root: Float[Array, "*batch latents latents"]) -> Float[Array, "*batch bearings"]:
+        """Return the standard deviation of a chart, m, from the Cholesky factor of its latents' precision."""
+        basis = jnp.broadcast_to(self.basis, (*root.shape[:-2], *self.basis.shape))
+        through = jax.scipy.linalg.solve_triangular(root, basis, lower=True)
+        return jnp.sqrt(jnp.sum(through**2, axis=-2))
+
 
 class LatentGrid(eqx.Module):
     """Represent ``q(M)`` of a plane as charts.
@@ -109,10 +115,7 @@ class LatentGrid(eqx.Module):
     ) -> "LatentGrid":
         """Return the map of natural parameters, see the attributes."""
         mean, root = decoder.posterior(weight, moment)
-        basis = jnp.broadcast_to(decoder.basis, (*root.shape[:2], *decoder.basis.shape))
-        through = jax.scipy.linalg.solve_triangular(root, basis, lower=True)
-        spread = jnp.sqrt(jnp.sum(through**2, axis=-2))
-        return cls(weight, moment, decoder(mean), spread, origin, cell_size, decoder)
+        return cls(weight, moment, decoder(mean), decoder.spread(root), origin, cell_size, decoder)
 
     def attention(
         self, xy: Float[Array, "*batch 2"]

@@ -16,7 +16,7 @@ from vssm_gym.inference.latent.chart_update import ChartSensor
 from vssm_gym.inference.latent.config import LatentConfig
 from vssm_gym.inference.latent.decoder_fit import fit_decoder
 from vssm_gym.inference.latent.filter import smoothed
-from vssm_gym.inference.latent.passes import Log, Pass, advance, put_all
+from vssm_gym.inference.latent.passes import Log, Pass, advance, put_all, without_first_chunk
 from vssm_gym.inference.latent.scan_charts import ScanCharts, ScanReading, panorama
 from vssm_gym.inference.latent.strip_charts import (
     StripCharts,
@@ -73,6 +73,9 @@ def run_latent(
     on_progress: OnProgress | None = None,
 ) -> LatentRun:
     """Track a robot and learn the charts around its path; poses and loops of the log are not read.
+
+    On line means that a pose depends on the scans so far, given decoder and extent of the map: those are fitted to the
+    whole log.
 
     Args:
         log: scans and odometry.
@@ -171,11 +174,9 @@ def _infer(
     given, length = Log(controls, readings), len(controls)
     mean, covariance = jnp.zeros((length, 3)), jnp.zeros((length, 3, 3))
     m, evidence, written = prior, [], None
-    near = slice(0, config.chunk + 1)  # of the first step
     for number in range(passes + 1):
         if written is not None:
-            nearest = jax.block_until_ready(jax.tree.map(lambda rows: rows[near], (readings, written)))
-            m = jax.block_until_ready(put_all(charts, m, *nearest, -1.0))
+            m = jax.block_until_ready(without_first_chunk(charts, m, readings, written, config.chunk))
         particles = ParticleBelief.of(jnp.zeros((config.particles, 3)), PLANAR)
         m = jax.tree.map(jnp.copy, m)  # `advance` takes its state for itself
         at = Pass(particles, m, jnp.zeros_like(mean), jnp.zeros_like(covariance), jnp.zeros(length))

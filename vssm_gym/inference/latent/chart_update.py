@@ -10,7 +10,6 @@ chart by itself. What a reading added can be taken away: a chunk of steps is inf
 from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -48,8 +47,6 @@ def add(
     total = jnp.maximum(m.weight[i, j] + weight, 0.0)
     moment = jnp.where(total > 0.0, m.moment[i, j] + weight * (y - m.decoder.mean), 0.0)
     mean, root = m.decoder.posterior(total, moment)
-    basis = jnp.broadcast_to(m.decoder.basis, (4, *m.decoder.basis.shape))
-    through = jax.scipy.linalg.solve_triangular(root, basis, lower=True)
-    found = total, moment, m.decoder(mean), jnp.sqrt(jnp.sum(through**2, axis=1))
+    found = total, moment, m.decoder(mean), m.decoder.spread(root)
     fields = lambda m: (m.weight, m.moment, m.chart, m.spread)
     return eqx.tree_at(fields, m, tuple(old.at[i, j].set(new) for old, new in zip(fields(m), found, strict=True)))

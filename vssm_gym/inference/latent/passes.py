@@ -3,7 +3,7 @@
 on line:   the map holds the readings that are at least a chunk old, at the poses they were filtered at
 off line:  the map holds all readings but those within a chunk, at the poses of the pass before; after a pass the poses
            are smoothed backwards and the map is made anew. Steps see a map that is one pass old: DVBF-LM's asynchronous
-           chunks, with the whole log as the minibatch and the exact optimum of the map in place of a gradient step.
+           chunks, with the whole log as the minibatch and the map given poses (eq. I74) in place of a gradient step.
 """
 
 from functools import partial
@@ -106,3 +106,11 @@ def put_all(
         return charts.write(m, *now, sign), None
 
     return jax.lax.scan(one, m, (readings, poses))[0]
+
+
+def without_first_chunk(
+    charts: ChartSensor, m: LatentGrid, readings: Any, poses: Float[Array, "time 3"], chunk: int
+) -> LatentGrid:
+    """Return a map of all readings without those that step 1 may not see: from the first to ``1 + chunk``."""
+    near = jax.tree.map(lambda rows: rows[: chunk + 2], (readings, poses))
+    return put_all(charts, m, *near, -1.0)
