@@ -52,6 +52,7 @@ COMMANDS: dict[str, Any] = {
         "pose-flow": "studies.posteriors.pose_flow",
         "pose-ambiguity": "studies.posteriors.pose_ambiguity",
         "maze-exploration": "studies.mazes.maze_exploration",
+        "maze-slam": "studies.mazes.maze_slam",
     },
     "faults": {"slam": "faults.slam", "navigation": "faults.navigation"},
     "doctor": "doctor.doctor",

@@ -6,20 +6,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from vssm_gym.envs.maze_noise import MOTION_NOISE, RANGE_NOISE
 from vssm_gym.envs.tasks.mazes import MAZES
 from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.studies.maze_exploration.episodes import EXPLORERS, explore
-from vssm_gym.files.bounded import read_bytes
+from vssm_gym.eval.studies.row_file import read_rows
 from vssm_gym.files.line_file import LineFile
 from vssm_gym.progress import OnProgress
 
 EXPLORATION_ROWS = "maze-exploration.jsonl"  # in the study's folder
-MOST_ROW_BYTES = 1 << 20  # of a line that is read again
-MOST_FILE_BYTES = 256 << 20  # of all of them
 
 
 @dataclass(frozen=True)
@@ -113,20 +109,7 @@ def key_of(row: dict[str, Any]) -> tuple[str, int, str]:
 
 def read_exploration(path: Path) -> list[dict[str, Any]]:
     """Return the rows of a file; none where there is no file; an unfinished last line is left out."""
-    if not path.is_file():
-        return []
-    rows: list[dict[str, Any]] = []
-    for number, line in enumerate(
-        read_bytes(path, MOST_FILE_BYTES, "runs of this study").splitlines(keepends=True), start=1
-    ):
-        if not line.endswith(b"\n"):
-            break
-        try:
-            row = ExplorationRow.model_validate_json(line if len(line) <= MOST_ROW_BYTES else b"")
-        except ValidationError:
-            raise InputError(path, f"line {number}", "a run of this study") from None
-        rows.append(row.model_dump())
-    return rows
+    return read_rows(path, ExplorationRow)
 
 
 def _runs(setting: ExplorationSetting) -> Iterator[tuple[str, int, str]]:
