@@ -41,7 +41,7 @@ def explore(agent: Agent, maze: str, seed: int, steps: int, noise: str, sensor_n
         agent: it is reset here, and never sees ``info``.
         maze: its name.
         seed: of start, noise and agent: the same for every agent.
-        steps: of the run; it ends before only where all tiles were visited.
+        steps: of the run; it goes on where all tiles were visited.
         noise: level of the execution noise.
         sensor_noise: level of the ranges' noise.
     """

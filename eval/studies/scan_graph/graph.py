@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.eval.foreign_process import ForeignProcess
-from vssm_gym.geometry.planar_poses import relation
 
 GTSAM_COMMAND = (sys.executable, "-m", "vssm_gym.eval.studies.scan_graph.gtsam_program")
 UPPER = np.triu_indices(3)  # row and column of each number of a symmetric matrix that is sent
@@ -91,11 +90,6 @@ class PoseGraph:
         if not pairs:
             return np.zeros((0, 3, 3))
         return np.array(self._ask("covariances", pairs=list(pairs))["covariances"]).reshape(-1, 3, 3)
-
-    def squared(self, factor: Factor) -> float:
-        """Return the squared error of a factor at the present poses, in its covariance."""
-        error = relation(factor.motion, relation(self.poses[factor.a], self.poses[factor.b]))
-        return float(error @ np.linalg.solve(factor.covariance, error))
 
     def _ask(self, *names: str, **request: Any) -> dict[str, Any]:
         return self._process.ask(json.dumps(request).encode() + b"\n", *names)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from vssm_gym.errors import InputError
 from vssm_gym.inference.latent.config import LatentConfig
 from vssm_gym.inference.latent.decoder_fit import fit_decoder
+from vssm_gym.inference.latent.elbo import elbo
 from vssm_gym.inference.latent.scan_charts import Panorama, ScanCharts, ScanReading, panorama
 from vssm_gym.inference.particles import BootstrapFilter, ParticleBelief
 from vssm_gym.maps.latent_grid import ChartDecoder, LatentGrid
@@ -110,6 +111,39 @@ def test_three_poses_are_enumerated():
 
     each = np.asarray(jax.vmap(likelihoods)(jax.random.split(jax.random.key(2), 20_000)), float)
     np.testing.assert_allclose(each.mean(axis=0) / each.mean(axis=0).sum(), exact, atol=0.01)
+
+
+def test_the_bound_of_a_motion_and_a_scan_against_an_enumeration_of_poses():
+    """With a known map, ``scans + motions + entropy`` of one step is below the evidence of all places along a line.
+
+    The gap is the divergence of ``q`` from the posterior: next to none where ``q`` has the posterior's moments.
+    """
+    m = grid()
+    for k, pose in enumerate(POSES):
+        for _ in range(400):  # charts that are as good as known
+            m = put(m, scan(k), pose)
+    model, transition = LatentScans(m, SCANNER, 0.4, 1.0, 1e6), Odometry((0.15, 1e-4, 1e-4), (0.0, 0.0, 0.0))
+    start, control, forward = jnp.zeros(3), jnp.array([0.5, 0.0, 0.0]), np.linspace(-0.1, 1.1, 481)
+    line = jnp.asarray(np.stack([forward, 0.0 * forward, 0.0 * forward], axis=-1), jnp.float32)
+    x = model.ranges(jnp.array([0.4, 0.0, 0.0]))
+    joint = np.asarray(model.log_prob(x, line), float) - 0.5 * ((forward - 0.5) / 0.15) ** 2
+    weight = np.exp(joint - joint.max())
+    # The motion's density over the two other axes integrates to one: along the line its normaliser is that of one axis
+    spacing = forward[1] - forward[0]
+    evidence = joint.max() + np.log(weight.sum() * spacing) - np.log(0.15 * np.sqrt(2.0 * np.pi))
+    mean = float((weight * forward).sum() / weight.sum())
+    std = float(np.sqrt((weight * (forward - mean) ** 2).sum() / weight.sum()))
+
+    def bound(mean: float, std: float) -> float:
+        means = jnp.stack([start, jnp.array([mean, 0.0, 0.0])])
+        covariance = jnp.stack([1e-12 * jnp.eye(3), jnp.diag(jnp.array([std, 1e-4, 1e-4]) ** 2)])
+        given = jnp.stack([control, control]), jnp.stack([x, x]), jnp.array([1])
+        found = elbo(jax.random.key(0), transition, model, means, covariance, *given, 4000)
+        return float(found.scans + found.motions + found.entropy)
+
+    assert evidence - 0.25 < bound(mean, std) < evidence + 0.02
+    assert bound(mean + 2.0 * std, std) < evidence - 0.5
+    assert bound(mean, 3.0 * std) < evidence - 0.5
 
 
 @settings(max_examples=20, deadline=None)

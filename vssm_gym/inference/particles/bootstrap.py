@@ -32,7 +32,7 @@ class Weighted(NamedTuple):
     """Hold the outcome of a step."""
 
     belief: ParticleBelief  # after the observation
-    log_evidence: Float[Array, ""]  # log p(x_t | x_1:t-1), an estimate whose exponential has no bias
+    log_evidence: Float[Array, ""]  # estimates log p(x_t | x_1:t-1); the sum over steps, exponentiated, has no bias
 
 
 @dataclass(frozen=True)
