@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +32,7 @@ from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.own_agents import GUARD, check_importable, code_hashes, own_agents
-from vssm_gym.eval.sweep.shards import Shard
+from vssm_gym.eval.sweep.shards import Part
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import ADVICE, RESUME, Owner, check_at_least, check_folder, owned_folder
 from vssm_gym.files.shipped import MAPS, shipped
@@ -55,7 +54,7 @@ def run_sweep(
     resume: bool = False,
     workers: int = 2,
     seed: int = 0,
-    shard: Shard | None = None,
+    shard: Part | None = None,
     map_file: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> Path:
@@ -145,7 +144,7 @@ def _stated(config: SweepConfig) -> dict[str, Any]:
 
 
 def _manifest(
-    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Shard | None
+    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Part | None
 ) -> dict[str, Any]:
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     protocol = protocol_of(config.env[0])
@@ -161,7 +160,7 @@ def _manifest(
         "version": package_version(),
         "seed": seed,
         "episodes": episodes,
-        **({"shard": asdict(shard)} if shard else {}),
+        **({"shard": shard.stated()} if shard else {}),
     }
 
 

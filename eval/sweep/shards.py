@@ -7,10 +7,22 @@ are contiguous: each has few scenes, and learns few maps.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol, runtime_checkable
 
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode
+
+
+@runtime_checkable
+class Part(Protocol):
+    """Select episodes of a sweep."""
+
+    def part(self, episodes: Sequence[Episode]) -> list[Episode]:
+        """Return the selected episodes in order."""
+
+    def stated(self) -> dict[str, Any]:
+        """Return what the sweep's manifest says of it."""
 
 
 @dataclass(frozen=True)
@@ -35,3 +47,7 @@ class Shard:
             raise InputError("sweep", "shard", f"at most {len(units)} shards, one a task and scene; found {self.of}")
         mine = set(units[(self.index - 1) * len(units) // self.of : self.index * len(units) // self.of])
         return [e for e in episodes if (e.condition.scene, e.task) in mine]
+
+    def stated(self) -> dict[str, Any]:
+        """Return ``index`` and ``of``."""
+        return asdict(self)

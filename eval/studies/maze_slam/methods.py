@@ -18,8 +18,8 @@ from vssm_gym.slam.latent_run import run_latent, run_strips
 from vssm_gym.slam.planar_run import run_scans
 
 OCCUPANCY_CELL = 0.01  # m
-CHART_CELL = 0.0625  # m, of a latent grid of scans
-COLOUR_CELL = 0.1  # m, of one of strips
+SCAN_CHART_CELL = 0.0625  # m, of a latent grid of scans
+STRIP_CHART_CELL = 0.1  # m, of one of strips
 ERRORS_EVERY = 100  # steps between two errors of a row
 FIRST_JUDGED = 10  # steps before which a covariance is that of the known start
 
@@ -44,14 +44,14 @@ def _occupancy(log: LaserLog, seed: int) -> Estimate:
 
 def _latent(passes: int) -> Callable[[LaserLog, int], Estimate]:
     def run(log: LaserLog, seed: int) -> Estimate:
-        found = run_latent(log, CHART_CELL, passes=passes, seed=seed)
+        found = run_latent(log, SCAN_CHART_CELL, passes=passes, seed=seed)
         return Estimate(found.poses, found.covariance, found.seconds)
 
     return run
 
 
 def _strips(log: StripLog, seed: int) -> Estimate:
-    found = run_strips(log, COLOUR_CELL, passes=1, seed=seed)
+    found = run_strips(log, STRIP_CHART_CELL, passes=1, seed=seed)
     return Estimate(found.poses, found.covariance, found.seconds)
 
 

@@ -1,0 +1,57 @@
+"""Compare an episode's row with the row that an earlier run wrote: the first field whose value differs.
+
+Numbers agree if ``|a - b| <= tolerance max(1, |a|)``; everything else must be equal. What says when and by what a row
+was made, and how long that took, is not an outcome.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+MADE_BY = ("format", "version", "config_hash", "map_hash", "explored")  # of the code, the sweep and its files
+TIMES = ("latency", "decision_p95")
+PICTURED = ("trace",)  # thinned paths for a picture; their metrics are compared
+NOT_OUTCOMES = frozenset(MADE_BY + TIMES + PICTURED)  # fields that are not compared
+
+
+def first_difference(expected: Mapping[str, Any], found: Mapping[str, Any], tolerance: float) -> str | None:
+    """Return the first field that differs, with both values; None if the outcomes agree.
+
+    Args:
+        expected: the earlier row; fields that came later it does not have, and they are not compared.
+        found: the row of the same episode now.
+        tolerance: of numbers, absolute below 1 and relative above.
+    """
+    for name, value in expected.items():
+        if name in NOT_OUTCOMES:
+            continue
+        if name not in found:
+            return f"{name}: expected {value!r:.80}; now it is not there"
+        if where := _difference(value, found[name], tolerance):
+            path, old, new = where
+            return f"{name}{path}: expected {old!r:.80}, now {new!r:.80}"
+    return None
+
+
+def _difference(old: Any, new: Any, tolerance: float) -> tuple[str, Any, Any] | None:
+    """Return where two values differ, as a path with both; None if they agree."""
+    numbers = [isinstance(value, int | float) and not isinstance(value, bool) for value in (old, new)]
+    if all(numbers):
+        same = old == new or math.isclose(old, new, rel_tol=tolerance, abs_tol=tolerance)
+        return None if same else ("", old, new)
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        keys = list(dict.fromkeys([*old, *new]))
+        pairs = [(f".{key}", old.get(key), new.get(key)) for key in keys]
+    elif _is_list(old) and _is_list(new) and len(old) == len(new):
+        pairs = [(f"[{k}]", a, b) for k, (a, b) in enumerate(zip(old, new, strict=True))]
+    else:
+        same = old == new and isinstance(old, bool) == isinstance(new, bool)
+        return None if same else ("", old, new)
+    for key, a, b in pairs:
+        if where := _difference(a, b, tolerance):
+            return f"{key}{where[0]}", *where[1:]
+    return None
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)

@@ -1,0 +1,52 @@
+"""Run ``vssm-gym reproduce FOLDER --out DIR``: rows of a finished sweep once more."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from vssm_gym.cli.shared.console import say
+from vssm_gym.cli.shared.interruption import interruptible
+
+
+@interruptible()
+def reproduce(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
+    out: Path,
+    episodes: int = 20,
+    tolerance: float = 1e-3,
+    scenes: tuple[str, ...] = (),
+    workers: int = 2,
+) -> None:
+    """Run rows of a finished sweep again and demand the same outcomes; exit status 1 if one differs.
+
+    The rows are spread evenly over the sweep. Each is compared field by field: numbers within the tolerance, everything
+    else exactly; the first field that differs is printed. OUT gets the sweep of the rows that were run.
+
+    Args:
+        folder: of the sweep, such as eval/baselines/navigation_levels.
+        out: new or empty folder.
+        episodes: rows to run.
+        tolerance: of numbers, absolute below 1 and relative above.
+        scenes: files of scenes that are not built in, as the sweep's configuration named them.
+        workers: number of processes that run episodes.
+    """
+    from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.envs.scenes.specs import scene_name
+    from vssm_gym.errors import InputError
+    from vssm_gym.eval.reproduction.sweep_rows import reproduce as run
+    from vssm_gym.files.output_folders import check_at_least, check_folder
+
+    check_at_least("reproduce", "episodes", episodes, 1)
+    if not 0.0 <= tolerance < 1.0:
+        raise InputError("reproduce", "tolerance", f"at least 0 and below 1, not {tolerance:g}")
+    check_folder(out)
+    with progress_bars() as progress:
+        found = run(folder, out, episodes, tolerance, {scene_name(scene): scene for scene in scenes}, workers, progress)
+    different = [one for one in found if one.difference is not None]
+    for one in different:
+        row = one.row
+        say(f"{row['scene']}, {row['agent']}, noise {row['noise']}, task {row['task']}: {one.difference}")
+    say(f"{len(found) - len(different)} of {len(found)} rows have the same outcome within {tolerance:g}")
+    if different:
+        raise SystemExit(1)
