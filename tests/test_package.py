@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import yaml
 from setuptools import find_packages
 
 import vssm_gym
@@ -174,3 +175,23 @@ def test_the_example_of_the_readme_runs():
     assert names["observation"]["rgb"].shape == (120, 160, 3)
     assert names["observation"]["depth"].dtype == np.float32
     assert names["picture"].std() > 0
+
+
+def test_the_citation_is_of_this_version():
+    with (CHECKOUT / "CITATION.cff").open() as file:
+        citation = yaml.safe_load(file)
+    project = PROJECT["project"]
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+    assert {paper["notes"] for paper in citation["references"]} == {"VSSM-LM", "PRISM", "TNP-SM", "DVBF-LM"}
+
+
+def test_the_workflow_calls_targets_and_versions_that_exist():
+    with (CHECKOUT / ".github" / "workflows" / "test.yml").open() as file:
+        jobs = yaml.safe_load(file)["jobs"]
+    commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    targets = {word for line in commands if line.startswith("make ") for word in line.split()[1:] if "=" not in word}
+    makefile = (CHECKOUT / "Makefile").read_text()
+    assert targets == {"install", "lint", "test"} and all(f"\n{target}:" in makefile for target in targets)
+    classifiers = PROJECT["project"]["classifiers"]
+    for version in jobs["test"]["strategy"]["matrix"]["python"]:
+        assert f"Programming Language :: Python :: {version}" in classifiers
