@@ -136,8 +136,8 @@ def read_habitat(path: str | Path) -> HabitatFile:
 
     Raises:
         InputError: no such file, no JSON, or an episode without the fields of PointNav's schema: ``episode_id``,
-            ``scene_id``, ``start_position`` (3), ``start_rotation`` (4: x, y, z, w, about the vertical) and one goal with
-            a ``position`` (3).
+            ``scene_id``, ``start_position`` (3), ``start_rotation`` (4: x, y, z, w, about the vertical) and one goal
+            with a ``position`` (3).
     """
     content = read_packed_json(path, HABITAT_BYTES, "a readable file of PointNav episodes")
     if not isinstance(content, dict) or not isinstance(content.get("episodes"), list) or not content["episodes"]:
@@ -148,7 +148,7 @@ def read_habitat(path: str | Path) -> HabitatFile:
 
 
 def write_habitat(file: HabitatFile, path: str | Path) -> None:
-    """Write an episode file, packed if its name ends in ``.gz``; it is complete or absent. Equal content, equal bytes."""
+    """Write an episode file, packed if its name ends in ``.gz``; it is complete or absent."""
     path = Path(path)
     text = json.dumps(file.content).encode()
     with atomic_write(path) as temporary:
