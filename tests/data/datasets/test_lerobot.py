@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.helpers.drawn_episodes import DESCRIPTION, drawn_block, drawn_episodes
+from tests.helpers.datasets.drawn_episodes import DESCRIPTION, drawn_block, drawn_episodes
 from vssm_gym.data.datasets import arrow_tables
 from vssm_gym.data.datasets.episode import Episode
 from vssm_gym.data.datasets.formats import write_dataset
@@ -13,7 +13,7 @@ from vssm_gym.errors import InputError
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("pandas")
-from tests.helpers.lerobot_layout import checked_info, read_columns
+from tests.helpers.datasets.lerobot_layout import checked_info, read_columns
 
 PLACES = {"rgb": "observation.images.rgb"}
 

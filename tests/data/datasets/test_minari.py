@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.helpers.drawn_episodes import DESCRIPTION, drawn_block, drawn_episodes
+from tests.helpers.datasets.drawn_episodes import DESCRIPTION, drawn_block, drawn_episodes
 from vssm_gym.data.datasets import minari as minari_format
 from vssm_gym.data.datasets.episode import Episode, info_columns
 from vssm_gym.data.datasets.formats import write_dataset

@@ -198,7 +198,7 @@ def test_a_packed_bomb_is_refused(tmp_path):
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_damaged_files_are_read_or_refused(data):
-    """What is read has finite tasks; what is refused is one sentence."""
+    """Read files have finite tasks, and refusals are one sentence."""
     episode = {"episode_id": "0", "scene_id": "a.glb", "start_position": [0, 0, 0], "start_rotation": [0, 0, 0, 1]}
     valid = {"episodes": [episode | {"goals": [{"position": [1.0, 0.0, 2.0], "radius": 0.2}], "info": {}}]}
     damaged = data.draw(damaged_json(valid))

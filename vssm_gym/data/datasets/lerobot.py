@@ -25,7 +25,7 @@ from vssm_gym.data.datasets.episode import Block, Description, Episode, checked
 from vssm_gym.data.datasets.statistics import Moments, finite, merged
 
 LEROBOT_VERSION = "v3.0"
-CHUNK = 1000  # files of a folder
+FILES_OF_CHUNK = 1000  # files of a folder
 DATA_MEGABYTES, VIDEO_MEGABYTES = 100, 200  # of a file, for programs that append
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA_PATH = f"data/{FILE}.parquet"
@@ -87,7 +87,9 @@ class _Writer:
         self._rate, self._folder = _whole_rate(description), folder
         self._first = first
         self._number, self._task = number, task
-        self._table = Table(folder / DATA_PATH.format(chunk_index=number // CHUNK, file_index=number % CHUNK))
+        self._table = Table(
+            folder / DATA_PATH.format(chunk_index=number // FILES_OF_CHUNK, file_index=number % FILES_OF_CHUNK)
+        )
         self._last: dict[str, np.ndarray] = {}
         self._reset_info: dict[str, Any] = {}
 
@@ -158,8 +160,8 @@ def _row(number: int, episode: Episode, first: int, writer: _Writer) -> dict[str
         "episode_index": number,
         "tasks": [episode.task],
         "length": writer.steps,
-        "data/chunk_index": number // CHUNK,
-        "data/file_index": number % CHUNK,
+        "data/chunk_index": number // FILES_OF_CHUNK,
+        "data/file_index": number % FILES_OF_CHUNK,
         "dataset_from_index": first,
         "dataset_to_index": first + writer.steps,
         "meta/episodes/chunk_index": 0,
@@ -180,7 +182,7 @@ def _info(description: Description, features: Features, episodes: int, frames: i
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": tasks,
-        "chunks_size": CHUNK,
+        "chunks_size": FILES_OF_CHUNK,
         "data_files_size_in_mb": DATA_MEGABYTES,
         "video_files_size_in_mb": VIDEO_MEGABYTES,
         "fps": _whole_rate(description),

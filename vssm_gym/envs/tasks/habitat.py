@@ -31,7 +31,7 @@ from vssm_gym.geometry.transforms import wrap_angle
 HABITAT_BYTES = 64 << 20  # of a file of episodes, unpacked; 1000 episodes with their shortest paths have 2 MB
 LARGEST_POSITION = 1e4  # m from the origin of a scene
 UNIT = 1e-3  # that the norm of a quaternion may differ from 1
-UPRIGHT = 1e-3  # that the x and z of a quaternion about the vertical may differ from 0
+LARGEST_TILT = 1e-3  # that the x and z of a quaternion about the vertical may differ from 0
 HEADING_DIGITS = 12  # to which a heading is rounded: what a quaternion of float64 resolves is two digits finer
 LENGTH_DIGITS = 6  # to which the length of a shortest path is rounded, as in the frozen tasks
 
@@ -232,7 +232,7 @@ def _check(episode: Any, path: str | Path, at: str) -> None:
         raise InputError(path, f"{at}.scene_id", f"a text of printable characters; found {scene!r:.80}")
     floats(episode.get("start_position"), (3,), path, f"{at}.start_position", largest=LARGEST_POSITION)
     x, y, z, w = floats(episode.get("start_rotation"), (4,), path, f"{at}.start_rotation", largest=1.0 + UNIT)
-    if abs(np.sqrt(x * x + y * y + z * z + w * w) - 1.0) > UNIT or max(abs(x), abs(z)) > UPRIGHT:
+    if abs(np.sqrt(x * x + y * y + z * z + w * w) - 1.0) > UNIT or max(abs(x), abs(z)) > LARGEST_TILT:
         expected = "a unit quaternion x, y, z, w about the vertical, y"
         raise InputError(path, f"{at}.start_rotation", f"{expected}; found {episode['start_rotation']!r:.100}")
     goals = episode.get("goals")
