@@ -172,6 +172,7 @@ ANSWERS = {
     "train a policy": "vssm-gym evaluate",
     "episode log": "`failure`",
     "own apartment": "scene import",
+    "episodes of Habitat": "vssm-gym dataset from-habitat",
     "texture": "TEXTURES",
 }
 

@@ -64,6 +64,7 @@ ALLOWED["data.recording"] = BASE | {
     "planning",
 }
 ALLOWED["data.flights"] = BASE | {"data.recording", "data.sequences", "envs"}
+ALLOWED["data.datasets"] = BASE | _READ | {"data.sequences"}
 ALLOWED["viz"] = BASE | {"maps", "model.emission"}
 # What is measured of learned transitions is measured by `eval` too: this folder knows nothing of policies
 ALLOWED["training.dynamics"] = ALLOWED["inference"] | {"data.dynamics"}
@@ -83,6 +84,7 @@ for _module in ("slam", "eval", "training", "cli"):
         "data.laser_logs",
         "data.strip_logs",
         "data.traversals",
+        "data.datasets",
         "data.dynamics",
         "data.recording",
         "data.flights",
@@ -105,6 +107,8 @@ ONE_IMPORTER = {
     "jinja2",
     "markupsafe",
     "h5py",
+    "minari",
+    "pyarrow",
 }
 ONE_PLACE = ("envs.physics", "training.sb3")  # folders that exist for one such library and count as one importer
 TESTS_ONLY = {"evo", "pytest", "hypothesis"}  # evo is GPL: an oracle of the tests, never part of the package

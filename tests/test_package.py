@@ -85,13 +85,14 @@ def test_imported_and_declared_dependencies_are_the_same():
                     imported.add(node.module.split(".")[0])
     foreign = imported - set(sys.stdlib_module_names) - {"vssm_gym"}
     modules = {MODULE_OF.get(name, name) for name in declared(PROJECT["project"]["dependencies"])}
-    # Of agents/sb3.py alone, which nothing here imports; the car's second simulator and HDF5, where they are asked for;
-    # and a peer that `bench envs` measures where it is installed.
-    assert foreign - modules == {"h5py", "miniworld", "pybullet", "stable_baselines3", "torch"}
+    # Of agents/sb3.py alone, which nothing here imports; the car's second simulator, HDF5 and the writers of data sets,
+    # where they are asked for; and a peer that `bench envs` measures where it is installed.
+    assert foreign - modules == {"h5py", "minari", "miniworld", "pyarrow", "pybullet", "stable_baselines3", "torch"}
     assert modules <= foreign
     assert {"stable-baselines3", "torch"} == declared(PROJECT["project"]["optional-dependencies"]["rl"])
     assert {"pybullet"} == declared(PROJECT["project"]["optional-dependencies"]["bullet"])
     assert {"h5py"} == declared(PROJECT["project"]["optional-dependencies"]["dynamics"])
+    assert {"minari", "h5py", "pyarrow"} == declared(PROJECT["project"]["optional-dependencies"]["datasets"])
 
 
 def test_constraints_pin_every_dependency_and_name_no_address():

@@ -17,6 +17,7 @@ from vssm_gym.envs.tasks import car_sets
 from vssm_gym.envs.tasks.car import CarTask
 from vssm_gym.envs.tasks.car_sets import CarTaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
 from vssm_gym.eval.metrics.failure import GAVE_UP_LOST, failure_reason
 from vssm_gym.eval.metrics.navigation import episode_metrics
 from vssm_gym.eval.protocols import shared
@@ -55,7 +56,9 @@ def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     keep_or_write(apartment, n, path, car_sets.load, make, car_sets.save)
 
 
-def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None) -> dict[str, Any]:
+def run(
+    episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | None, *, wrap: Wrap = unwrapped
+) -> dict[str, Any]:
     """Run one episode and return the measured fields of its row."""
     tasks = tasks_in(task_file, CarTaskSet)
     env = world(
@@ -66,7 +69,7 @@ def run(episode: Episode, agent: Agent, task_file: Path, voxel_map: VoxelMap | N
         images=not agent.needs_pose,  # an agent that observes the pose needs none; rendering takes half of the time
     )
     seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
-    return run_episode(env, agent, tasks.tasks[episode.task], seed=seed, voxel_map=voxel_map)
+    return run_episode(wrap(env), agent, tasks.tasks[episode.task], seed=seed, voxel_map=voxel_map)
 
 
 def run_episode(env: gym.Env, agent: Agent, task: CarTask, *, seed: int, voxel_map: VoxelMap | None) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from vssm_gym.envs.robots import HOLONOMIC_NOISES
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.eval.episodes.identity import Episode, ExploreSettings, episode_seed
+from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
 from vssm_gym.eval.protocols import pointnav
 from vssm_gym.eval.protocols.episode import run_episode as run_navigation
 from vssm_gym.eval.protocols.explore_episode import Spectator, map_of, run_episode
@@ -48,6 +49,8 @@ def run(
     task_file: Path,
     voxel_map: VoxelMap | None,
     spectator: Spectator | None = None,
+    *,
+    wrap: Wrap = unwrapped,
 ) -> dict[str, Any]:
     """Run one episode and the navigation on its map; return the measured fields of its row."""
     tasks, settings = tasks_in(task_file, TaskSet), episode.explore or ExploreSettings()
@@ -59,7 +62,7 @@ def run(
     )
     start = np.array(tasks.tasks[episode.task].start)
     seed = episode_seed(episode.seed, tasks.scene_hash, episode.task)
-    row = run_episode(env, agent, start, seed=seed, spectator=spectator)
+    row = run_episode(wrap(env), agent, start, seed=seed, spectator=spectator)
     explored = map_of(agent)
     if settings.navigation and explored is not None:
         row["navigation"] = navigate(episode, tasks, explored, settings.navigation)

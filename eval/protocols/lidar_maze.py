@@ -17,6 +17,7 @@ from vssm_gym.envs.tasks.mazes import MAZES, ROBOT, Maze, load_maze
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
 from vssm_gym.eval.protocols.agent_context import SCANNER_COMMANDS
 from vssm_gym.eval.protocols.episode import run_episode
 from vssm_gym.eval.protocols.exact_scans import ExactScans
@@ -56,7 +57,9 @@ def write_tasks(apartment: Apartment, n: int, path: Path) -> None:
     keep_or_write(apartment, n, path, navigation.load, partial(_first, apartment, n), navigation.save)
 
 
-def run(episode: Episode, agent: Agent, task_file: Path, learned: LearnedMaze | None) -> dict[str, Any]:
+def run(
+    episode: Episode, agent: Agent, task_file: Path, learned: LearnedMaze | None, *, wrap: Wrap = unwrapped
+) -> dict[str, Any]:
     """Run one episode and return the measured fields of its row; a bound is given the true map."""
     c, tasks = episode.condition, tasks_in(task_file, TaskSet)
     by_scan = getattr(agent, "goal_by_scan", False)
@@ -66,8 +69,9 @@ def run(episode: Episode, agent: Agent, task_file: Path, learned: LearnedMaze | 
         model = _true_map(c.scene)
     elif getattr(agent, "needs_latent_map", False) and learned is not None:
         model = learned.latent(_maze(c.scene))
+    env = made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, observe_pose=agent.needs_pose, **goal)
     return run_episode(
-        made(c.env, scene=c.scene, noise=c.noise, sensor_noise=c.sensor_noise, observe_pose=agent.needs_pose, **goal),
+        wrap(env),
         _maze(c.scene).sampler,
         agent,
         tasks.tasks[episode.task],

@@ -13,6 +13,7 @@ from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks import navigation
 from vssm_gym.envs.tasks.navigation import TaskSet
 from vssm_gym.eval.episodes.identity import Episode, episode_seed
+from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
 from vssm_gym.eval.protocols.episode import Spectator, run_episode
 from vssm_gym.eval.protocols.shared import (
     conditions,
@@ -43,11 +44,13 @@ def run(
     task_file: Path,
     voxel_map: VoxelMap | None,
     spectator: Spectator | None = None,
+    *,
+    wrap: Wrap = unwrapped,
 ) -> dict[str, Any]:
     """Run one episode and return the measured fields of its row."""
     tasks = tasks_in(task_file, TaskSet)
     return run_episode(
-        world(episode.condition, observe_pose=agent.needs_pose),
+        wrap(world(episode.condition, observe_pose=agent.needs_pose)),
         sampler_of(episode.condition.scene),
         agent,
         tasks.tasks[episode.task],

@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from vssm_gym.agents.base import Agent
     from vssm_gym.envs.scenes.scene import Apartment
     from vssm_gym.eval.episodes.identity import Episode
+    from vssm_gym.eval.episodes.recorder import Wrap
 
 SWEPT_ENVIRONMENTS = {name: spec for name, spec in ENVIRONMENTS.items() if spec.protocol}
 """The environments that sweeps run: those with an episode protocol, by id."""
@@ -54,8 +55,10 @@ class EpisodeProtocol(Protocol):
         """Return the learned map of a file, as :meth:`run` takes it."""
         ...
 
-    def run(self, episode: "Episode", agent: "Agent", task_file: Path, learned: Any) -> dict[str, Any]:
-        """Run one episode and return the measured fields of its row."""
+    def run(
+        self, episode: "Episode", agent: "Agent", task_file: Path, learned: Any, *, wrap: "Wrap" = ...
+    ) -> dict[str, Any]:
+        """Run one episode in the environment that ``wrap`` returns, and return the measured fields of its row."""
         ...
 
 

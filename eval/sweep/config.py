@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from vssm_gym.agents.base import ANY_TASK
 from vssm_gym.agents.policy.policy_file import PREFIX as POLICY
@@ -20,7 +20,7 @@ from vssm_gym.errors import InputError, did_you_mean, one_of
 from vssm_gym.eval.episodes.identity import Condition, Episode, ExploreSettings
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.files.bounded import is_file
-from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, first_problem, read_yaml
+from vssm_gym.files.yaml_file import Names, Seeds, as_tuple, first_problem, printable, read_yaml
 
 CONDITIONS = ("robot", "noise", "sensor_noise", "renderer", "physics", "direction_frame")
 OF_ONE = {"scenes": "scene", "agents": "agent"}  # arguments of commands that take one of them
@@ -56,7 +56,8 @@ class SweepConfig(BaseModel):
     of the YAML file.
     ``voxel`` (m) is the cell size of the agents' maps; ``map_poses`` sets whether these are learned at the recorded
     poses or at PRISM's estimates, ``map_surfaces`` whether they hold what was learned or the scene's surfaces, where
-    those were seen, for budgets of errors. ``explore`` is for Explore alone.
+    those were seen, for budgets of errors. ``explore`` is for Explore alone. ``task_file`` holds tasks in place of the
+    frozen ones, or episodes in Habitat's format; a relative path starts at the folder of the YAML file.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
@@ -76,6 +77,7 @@ class SweepConfig(BaseModel):
     map_poses: Literal["recorded", "estimated"] = "recorded"
     map_surfaces: Literal["learned", "exact"] = "learned"
     explore: ExploreSettings | None = None
+    task_file: Annotated[str, AfterValidator(printable)] | None = None
 
 
 def expand(config: SweepConfig) -> Iterator[Episode]:
@@ -108,6 +110,8 @@ def load_config(path: str | Path, scenes: Sequence[str] = ()) -> SweepConfig:
     if scenes:
         config, folder = _in_scenes(config, scenes), Path()
     check_environments(config, path)
+    if config.task_file is not None and SWEPT_ENVIRONMENTS[config.env[0]].robot != "holonomic":
+        raise InputError(path, "task_file", f"none with {config.env[0]}: PointNav, ImageNav and Explore take one")
     lists = (getattr(config, name) for name in ("env", "scenes", "agents", *CONDITIONS, "tasks", "seeds"))
     if (episodes := math.prod(map(len, lists))) > MOST_EPISODES:
         raise InputError(path, "file", f"lists that multiply to at most {MOST_EPISODES:,} episodes; found {episodes:,}")
@@ -117,7 +121,8 @@ def load_config(path: str | Path, scenes: Sequence[str] = ()) -> SweepConfig:
         for scene in config.scenes
     )
     agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
-    config = config.model_copy(update={"scenes": found, "agents": agents})
+    task_file = None if config.task_file is None else str((path.parent / config.task_file).resolve())
+    config = config.model_copy(update={"scenes": found, "agents": agents, "task_file": task_file})
     check_names(config, path)
     return config
 

@@ -28,6 +28,7 @@ from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.episodes.row import without_defaults
+from vssm_gym.eval.protocols.given_tasks import task_file_hash, write_given_tasks
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
@@ -96,12 +97,12 @@ def run_sweep(
         episodes = list(expand(config))
         if shard is not None:
             episodes = shard.part(episodes)
-        manifest = _manifest(config, apartments, seed, len(episodes), shard)
+        manifest = manifest_of(config, apartments, seed, len(episodes), shard)
         if codes := code_hashes(own):
             manifest["agent_code"] = codes
         if map_file is not None:
             map_file = shipped(map_file, MAPS)
-            manifest["map_hash"] = _given_map_hash(config, map_file)
+            manifest["map_hash"] = given_map_hash(config, map_file)
         identity = ("map_hash", "agent_code", "config_hash", "shard")
         owner = Owner("sweep", MANIFEST, manifest, identity=identity, resumed=(FILE,))
         with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
@@ -110,8 +111,8 @@ def run_sweep(
             for scene in dict.fromkeys(episode.condition.scene for episode in todo):
                 batch = [episode for episode in todo if episode.condition.scene == scene]
                 if map_file is not None:
-                    _copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
-                jobs = _jobs(batch, scene, apartments[scene], out, config, manifest, on_progress)
+                    copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
+                jobs = jobs_of(batch, scene, apartments[scene], out, config, manifest, on_progress)
                 worker.release_memory()
                 _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
     return out / FILE
@@ -140,12 +141,17 @@ def _stated(config: SweepConfig) -> dict[str, Any]:
     content = without_defaults(config.model_dump(mode="json"))
     if config.map_surfaces == "learned":
         del content["map_surfaces"]
+    if config.task_file is None:
+        del content["task_file"]
+    else:
+        content["task_file"] = task_file_hash(Path(config.task_file))
     return content
 
 
-def _manifest(
+def manifest_of(
     config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Part | None
 ) -> dict[str, Any]:
+    """Return the content of a sweep's manifest."""
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
     protocol = protocol_of(config.env[0])
     shown = _stated(config) | {
@@ -164,7 +170,7 @@ def _manifest(
     }
 
 
-def _jobs(
+def jobs_of(
     episodes: Sequence[Episode],
     scene: str,
     apartment: Apartment,
@@ -180,7 +186,10 @@ def _jobs(
     task_files = {}
     for env in dict.fromkeys(episode.condition.env for episode in episodes):
         task_files[env] = out / "tasks" / f"{scene_name(scene)}-{SWEPT_ENVIRONMENTS[env].robot}.json"
-        protocol_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
+        if config.task_file is None:
+            protocol_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
+        else:
+            write_given_tasks(Path(config.task_file), apartment, max(config.tasks) + 1, task_files[env])
     if any(agent_type(episode.agent).needs_map for episode in episodes):
         if "map_hash" in manifest:
             map_file = out / "maps" / f"{scene_name(scene)}.npz"
@@ -209,7 +218,7 @@ def _jobs(
     ]
 
 
-def _given_map_hash(config: SweepConfig, map_file: Path) -> str:
+def given_map_hash(config: SweepConfig, map_file: Path) -> str:
     """Return the hash of a map that agents are given; raise :class:`InputError` where it cannot be theirs."""
     if len(config.scenes) != 1:
         raise InputError("sweep", "map", f"a configuration of one scene; found {len(config.scenes)}")
@@ -224,7 +233,7 @@ def scene_map_hash(map_file: Path) -> str:
     return map_hash(map_file)
 
 
-def _copy_map(source: Path, target: Path) -> None:
+def copy_map(source: Path, target: Path) -> None:
     """Copy a map into the folder, so that reports and resumed runs find it; the same one may be there."""
     if target.is_file() and map_hash(target) == map_hash(source):
         return

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.identity import Episode
+from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
 from vssm_gym.eval.protocols.registry import protocol_of
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
@@ -104,13 +105,13 @@ def _leave_with(sentinel: int) -> None:
     os._exit(1)
 
 
-def run(job: Job) -> dict[str, Any]:
-    """Run one episode and return its row for the log."""
+def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
+    """Run one episode, in the environment that ``wrap`` returns, and return its row for the log."""
     episode = job.episode
     try:
         protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
         learned = _map(episode.condition.env, job.map_file) if job.map_file else None
-        result = protocol.run(episode, agent, job.task_file, learned)
+        result = protocol.run(episode, agent, job.task_file, learned, wrap=wrap)
     except (InputError, OutputError):
         raise
     except Exception as error:  # of a class that only this process may know, so that its text is sent

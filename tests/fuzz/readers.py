@@ -20,14 +20,19 @@ from tests.helpers.paths import CHECKOUT
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.shared.planar.lstm_policy import LstmPolicy, load_lstm, save_lstm, size_of
+from vssm_gym.data.datasets.recordings import read_recording
 from vssm_gym.data.dynamics.read import read_dynamics
 from vssm_gym.data.laser_logs import LaserLog, read_laser_log, write_laser_log
 from vssm_gym.data.sequences import FrameReader, SequenceWriter, load_sequence
 from vssm_gym.data.trajectories import read_trajectory
+from vssm_gym.envs.robots.holonomic import HolonomicRobot
 from vssm_gym.envs.scenes.generator import furnish_plan
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks import navigation
+from vssm_gym.envs.tasks.habitat import habitat_file, write_habitat
+from vssm_gym.envs.tasks.navigation import TaskSampler
 from vssm_gym.eval.episodes.log import read_rows
+from vssm_gym.eval.protocols.given_tasks import given_tasks
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.studies.calibration.errors import FilterErrors, RunErrors, summarise
 from vssm_gym.eval.studies.calibration.stored import finished
@@ -169,6 +174,21 @@ def _read_sequence(folder: Path) -> object:
     return [reader[i] for i in range(min(len(reader), 5))], sequence.true_poses()
 
 
+def _habitat(name: str) -> Callable[[Path], None]:
+    """Return what writes five tasks of a scene as PointNav episodes."""
+
+    def write(folder: Path) -> None:
+        oak = load_scene("oak")
+        tasks = navigation.task_set(oak, _robot(), "test", 5)
+        write_habitat(habitat_file(tasks, TaskSampler(oak, _robot())), folder / name)
+
+    return write
+
+
+def _given(name: str) -> Callable[[Path], object]:
+    return lambda folder: given_tasks(folder / name, load_scene("oak"))
+
+
 def _laser_log(folder: Path) -> None:
     """Write three scans, with poses and a loop."""
     rng, of = np.random.default_rng(0), np.linspace(-1.5, 1.5, 6)
@@ -294,7 +314,10 @@ READERS: dict[str, Reader] = {
         lambda d: navigation.save(navigation.task_set(load_scene("oak"), _robot(), "test", 5), d / "tasks.json"),
         lambda d: navigation.load(d / "tasks.json"),
     ),
+    "habitat": Reader(_habitat("val.json"), _given("val.json")),
+    "habitat, packed": Reader(_habitat("val.json.gz"), _given("val.json.gz")),
     "sequence": Reader(_sequence, _read_sequence),
+    "sequence as an episode": Reader(_sequence, lambda d: list(read_recording(d / "sequence", "0")[1].blocks)),
     "laser log": Reader(_laser_log, lambda d: read_laser_log(d / "drive.log").path()),
     "trajectory": Reader(_trajectory("poses.txt"), lambda d: read_trajectory(d / "poses.txt")),
     "trajectory, csv": Reader(_trajectory("poses.csv"), lambda d: read_trajectory(d / "poses.csv")),
@@ -308,9 +331,7 @@ READERS: dict[str, Reader] = {
 }
 
 
-def _robot() -> object:
-    from vssm_gym.envs.robots.holonomic import HolonomicRobot
-
+def _robot() -> HolonomicRobot:
     return HolonomicRobot()
 
 

@@ -156,6 +156,17 @@ def _camera(**changes: object) -> Callable[[Path], None]:
     return change
 
 
+def _episode(**changes: object) -> Callable[[Path], None]:
+    """Return what changes fields of the third of Habitat's episodes."""
+
+    def change(folder: Path) -> None:
+        content = json.loads((folder / "val.json").read_text())
+        content["episodes"][2] |= changes
+        (folder / "val.json").write_text(json.dumps(content))
+
+    return change
+
+
 GEOM, CUBE = '<geom size=".1"/>', '<geom type="box" size=".1 .1 .1" pos="1 1 1"/>'
 MJCF = [
     *(_nested(k, "100", inner) for k, inner in ((5, ""), (4, "<body/>"), (60, ""), (3, GEOM))),
@@ -179,6 +190,8 @@ MOUNTS = [(0.0 * IDENTITY).tolist(), (2.0 * IDENTITY).tolist(), (-IDENTITY).toli
 TASKS = ("2001-99-99", "10000000000", "0-9999999999", "0b_", "0-²", "1e400", ".inf", "[1.5]", "-5")
 NAMES = ('"a\\0b"', "x" * 300, "x" * 5000)
 YAMLS = ("[" * 100_000, "- " * 100_000, "a: &a [1]\nb: [*a, *a]", "? " * 5000)
+TURNS = ([0, 0, 0, 0], [0, 1e200, 0, 1e200], [10**400] * 4, [0, 0, 0], [1, 0, 0, 0], None, ["0"] * 4, [[0], 0, 0, 1])
+PLACES = ([1e300, 0, 0], [1e4, 0, 0], [-1e4, 1e4, -1e4], [0.0], None, [True, 0, 0])
 DEEP = ("[" * 3000 + "]" * 3000, '{"a":' * 3000 + "1" + "}" * 3000, "[" + "[]," * 4_000_000 + "1]", "9" * 5000)
 CONTROLS = ("0 nan 0 0\n", "0 inf 0 0\n", "0 1e999 0 0\n", "0 0 0 0\n" * 1_000_000)
 POSES = ("0 1e300 0 0 0 0 0 1\n", "9" * 400 + " 0 0 0 0 0 0 1\n", "1 0 0 0 0 0 0 1\n" * 700_000)
@@ -195,6 +208,10 @@ CHEAP: list[Case] = [
     ("policy", _flipped("policy.npz", encrypted=True)),
     *(("policy", _array_header("policy.npz", text)) for text in ARRAY_HEADERS),
     ("sequence", _dense_stamps),
+    *(("habitat", _episode(start_rotation=turn)) for turn in TURNS),
+    *(("habitat", _episode(start_position=place)) for place in PLACES),
+    *(("habitat", _episode(goals=goals)) for goals in ([], [{}] * 2, [{"position": [1e4, 0, 0]}], [None], {})),
+    *(("habitat", _text("val.json", content)) for content in NASTY),
     *(("sequence", _pipe(f"sequence/{name}")) for name in PIPES),
     *(("sequence", _camera(T_body_cam=T)) for T in MOUNTS),
     *(("sequence", _camera(distortion=[0, 0, 0, 0, k])) for k in (1e300, float("inf"), 10**400)),
@@ -213,6 +230,7 @@ CHEAP: list[Case] = [
     *(("episode log", _text("episodes.jsonl", content + b"\n")) for content in NASTY),
 ]
 COSTLY: list[Case] = [  # to make: gigabytes of zeros are packed
+    ("habitat, packed", _text("val.json.gz", gzip.compress(b" " * 10**9))),
     *(("procthor", _text("houses.jsonl.gz", gzip.compress(part * 10**8))) for part in (b"\n", b"   ")),
     ("ros map", _images(_png(30_000, 30_000))),
     *(("map", _bomb("map.npz", name, 3_000_000_000)) for name in ("occupancy", "header")),

@@ -82,6 +82,7 @@ EXTRAS = {  # of pyproject.toml, and what they are for
     "rl": "train policies",
     "bullet": "the PyBullet simulator",
     "dynamics": "flights of the Blackbird data set",
+    "datasets": "data sets of Minari and LeRobot",
     "human": "windows",
     "viz": "live viewer, videos",
     "dev": "tests and checks",

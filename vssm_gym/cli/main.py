@@ -27,6 +27,11 @@ COMMANDS: dict[str, Any] = {
     "scene": {"preview": "scene.preview", "import": "scene.import_", "generate": "scene.generate"},
     "record": "record.record",
     "map": {"build": "map.build", "export": "map.export"},
+    "dataset": {
+        "export": "datasets.export.export",
+        "from-habitat": "datasets.habitat.from_habitat",
+        "to-habitat": "datasets.habitat.to_habitat",
+    },
     "train": "train.train",
     "train-dynamics": "train.train_dynamics",
     "curves": "curves.curves",

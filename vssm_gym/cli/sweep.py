@@ -26,7 +26,7 @@ def sweep(
 
     Args:
         config: YAML with scenes, agents, tasks [env, robot, noise, sensor_noise, renderer, physics,
-            direction_frame, seeds, voxel, map_poses, map_surfaces, explore].
+            direction_frame, seeds, voxel, map_poses, map_surfaces, explore, task_file].
         out: new or empty folder for the results.
         resume: continue a sweep of the same configuration in OUT.
         workers: number of processes that run episodes.

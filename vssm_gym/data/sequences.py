@@ -65,14 +65,20 @@ class Sequence:
         path = self.root / "groundtruth.txt"
         if self.truth is None:
             raise InputError(path, "file", "ground-truth poses, which this command needs")
-        known = np.concatenate([[-np.inf], self.truth[0], [np.inf]])
-        following = np.searchsorted(known, self.times)
-        before, after = self.times - known[following - 1], known[following] - self.times
-        bad = (np.maximum(before, after) > LARGEST_GAP) & (np.minimum(before, after) > ASSOCIATION_TOLERANCE)
+        bad = ~self.has_pose()
         if bad.any():
             expected = f"a pose at every frame, or within {LARGEST_GAP} s before and after it"
             raise InputError(path, "times", f"{expected}; the frame at {self.times[bad][0]:.6f} s has none")
         return interpolate(*self.truth, self.times)
+
+    def has_pose(self) -> np.ndarray:
+        """Return which frames (frames,) have a ground-truth pose at their time, or near enough before and after it."""
+        if self.truth is None:
+            return np.zeros(len(self.frames), bool)
+        known = np.concatenate([[-np.inf], self.truth[0], [np.inf]])
+        following = np.searchsorted(known, self.times)
+        before, after = self.times - known[following - 1], known[following] - self.times
+        return (np.maximum(before, after) <= LARGEST_GAP) | (np.minimum(before, after) <= ASSOCIATION_TOLERANCE)
 
 
 class FrameReader:

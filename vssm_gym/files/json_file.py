@@ -25,6 +25,20 @@ def read_json(path: str | Path, limit: int = JSON_BYTES, expected: str = "a read
     return parse_json(read_bytes(path, limit, expected), path)
 
 
+def read_packed_json(path: str | Path, limit: int, expected: str = "a readable JSON file") -> Any:
+    """Return the parsed JSON of a file, packed by gzip if named ``.gz``, of at most ``limit`` bytes when unpacked."""
+    if Path(path).suffix != ".gz":
+        return read_json(path, limit, expected)
+    try:
+        with open_file(path, expected) as stored, gzip.open(stored, "rb") as file:
+            content = file.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(path, "file", f"{expected}, packed by gzip ({error})") from error
+    if len(content) > limit:
+        raise InputError(path, "file", f"at most {limit:,} bytes when unpacked")
+    return parse_json(content, path)
+
+
 def read_json_line(path: Path, line: int) -> Any:
     """Return the parsed JSON on line ``line``, counted from 0, of a JSONL file (packed if named ``.gz``)."""
     source = f"{path}#{line}"

@@ -162,11 +162,9 @@ class TaskSampler:
 
     def __init__(self, apartment: Apartment, robot: Robot) -> None:
         self.space = FreeSpace.from_apartment(apartment, robot.radius, robot.height)
-        self._scene, self._apart, self._success = (
-            apartment.name,
-            GOAL_APART * robot.body_length,
-            SUCCESS * robot.body_length,
-        )
+        self.scene = apartment.name
+        self.success_radius = SUCCESS * robot.body_length  # m
+        self._apart = GOAL_APART * robot.body_length
 
     @cached_property
     def geodesics(self) -> Geodesics:
@@ -183,11 +181,11 @@ class TaskSampler:
         for start, goal in positions.reshape(_PAIRS, 2, 2):
             if np.linalg.norm(start - goal) <= self._apart:
                 continue
-            length = self.geodesics.length(start, goal, self._success)
+            length = self.geodesics.length(start, goal, self.success_radius)
             if SHORTEST <= length < np.inf:
                 return self._task(task_id, (*start.tolist(), heading), goal.tolist(), round(float(length), 6))
         expected = f"free space with places {SHORTEST} m of path apart; none found for task {task_id}"
-        raise InputError(self._scene, "rooms", expected)
+        raise InputError(self.scene, "rooms", expected)
 
     def task(self, start: Sequence[float], goal: Sequence[float], task_id: int = 0) -> Task:
         """Return the task from ``start`` (x, y, heading) to ``goal``, of any length; raise as :meth:`validate`."""
@@ -198,15 +196,15 @@ class TaskSampler:
         """Raise :class:`InputError` unless the task is of this scene: free, connected ends and the right geodesic."""
         source = f"task {task.id} of {task.scene}"
         validated(Task, dict(task), source)  # again, since pydantic's model_copy(update=...) checks nothing
-        if task.scene != self._scene:
-            raise InputError(source, "scene", f"{self._scene!r}")
+        if task.scene != self.scene:
+            raise InputError(source, "scene", f"{self.scene!r}")
         length = self._length(task)
         if abs(length - task.geodesic) > 0.01 * length + 1e-6:
             expected = f"{length:.3f} m, the shortest path in this scene; found {task.geodesic}"
             raise InputError(source, "geodesic", expected)
 
     def _length(self, task: Task) -> float:
-        source = f"task {task.id} of {self._scene}"
+        source = f"task {task.id} of {self.scene}"
         start, goal = np.array(task.start[:2]), np.array(task.goal)
         fitting = self.space.nearest(start)
         for field, (x, y), away in (
@@ -217,13 +215,13 @@ class TaskSampler:
                 obstacles = ", ".join(self.space.obstacles_at((x, y))[:3])
                 why = f"it would collide with {obstacles}" if obstacles else self.space.off_the_floor()
                 raise InputError(source, field, f"a position where the robot fits; at ({x:.2f}, {y:.2f}) {why}")
-        length = self.geodesics.length(fitting, goal, self._success)
+        length = self.geodesics.length(fitting, goal, self.success_radius)
         if not np.isfinite(length):
             raise InputError(source, "goal", "a position that the robot can reach from the start")
         return length
 
     def _task(self, task_id: int, start: Sequence[float], goal: Sequence[float], geodesic: float) -> Task:
-        data = {"id": task_id, "scene": self._scene, "start": list(start), "goal": list(goal), "geodesic": geodesic}
+        data = {"id": task_id, "scene": self.scene, "start": list(start), "goal": list(goal), "geodesic": geodesic}
         return validated(Task, data, "task")
 
 

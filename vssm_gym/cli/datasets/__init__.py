@@ -1,0 +1,1 @@
+"""Run ``vssm-gym dataset NAME``."""

@@ -1,0 +1,56 @@
+"""List the formats of data sets; ``vssm-gym dataset export`` and tests read this table."""
+
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from vssm_gym.data.datasets.arrow_tables import load_arrow
+from vssm_gym.data.datasets.episode import Description, Episode
+from vssm_gym.data.datasets.lerobot import write_lerobot
+from vssm_gym.data.datasets.minari import load_minari, write_minari
+from vssm_gym.errors import InputError, one_of
+from vssm_gym.files.output_folders import check_new_folder, whole_folder
+
+SCRATCH = ".scratch"  # the folder of what is removed at the end
+Source = Callable[[Path], tuple[Description, Iterable[Episode]]]
+Write = Callable[[Description, Iterable[Episode], Path, str], tuple[int, int]]
+
+FORMATS: dict[str, tuple[Write, Callable[[object], object]]] = {
+    "minari": (write_minari, load_minari),
+    "lerobot": (write_lerobot, load_arrow),
+}
+"""How a data set of each format is written, and what imports the library that it takes."""
+
+
+def check_export(source: object, form: str, out: Path) -> None:
+    """Raise :class:`InputError` unless a data set can be written; it costs nothing before the episodes are driven."""
+    if form not in FORMATS:
+        raise InputError(source, "format", one_of(FORMATS, form))
+    check_new_folder(out)
+    FORMATS[form][1](source)
+
+
+def write_dataset(form: str, source: Source, out: Path) -> tuple[int, int]:
+    """Write a data set to a new or empty folder, which appears when it is complete.
+
+    Args:
+        form: a name of :data:`FORMATS`.
+        source: returns the description and the episodes, read once and one after the other; it is called with a folder
+            for what it needs in between, which is removed at the end.
+        out: the folder.
+
+    Returns:
+        The number of episodes and of steps.
+
+    Raises:
+        InputError: the library of the format is not installed, the folder is not empty, or episodes differ in kind.
+        OutputError: the folder cannot be written.
+    """
+    check_export("dataset", form, out)
+    with whole_folder(out) as unfinished:
+        scratch = unfinished / SCRATCH
+        scratch.mkdir()
+        description, episodes = source(scratch)
+        counts = FORMATS[form][0](description, episodes, unfinished, out.resolve().name)
+        shutil.rmtree(scratch)
+    return counts
