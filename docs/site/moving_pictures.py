@@ -30,9 +30,9 @@ COLOURS = 32  # of its palette, besides the marks
 MARKS = [  # RGB of path, robot, goal and reference on a plan: too few pixels to be common; and thinned by the scaling
     [round(part * share + 245 * (1 - share)) for part in colour]
     for colour in (PLAN_PATH, PLAN_ROBOT, PLAN_GOAL, PLAN_REFERENCE)
-    for share in (1.0, 0.6)
+    for share in (1.0, 0.75)
 ]
-NEAR = 40.0  # from a mark's colour
+NEAR = 30.0  # from a mark's colour
 LASTS = 6000  # ms, all frames but the last
 STAYS = 1500  # ms, the last frame
 
@@ -152,10 +152,12 @@ def save(pictures: list[Image.Image], path: Path) -> None:
 
 
 def in_palette(picture: Image.Image, common: Image.Image, colours: list[int]) -> Image.Image:
-    """Return a picture in the common colours, but marks where a pixel is nearly of a mark's colour."""
+    """Return a picture in the common colours, but in a mark's where that is nearer."""
     index = np.array(picture.quantize(palette=common, dither=Image.Dither.NONE))
-    away = np.linalg.norm(np.asarray(picture, float)[:, :, None] - np.array(MARKS, float), axis=-1)
-    index = np.where(away.min(axis=-1) < NEAR, COLOURS + away.argmin(axis=-1), index)
+    pixels, palette = np.asarray(picture, float), np.reshape(colours, (-1, 3)).astype(float)
+    off = np.linalg.norm(pixels - palette[index], axis=-1)
+    away = np.linalg.norm(pixels[:, :, None] - palette[COLOURS:], axis=-1)
+    index = np.where(away.min(axis=-1) < np.minimum(off, NEAR), COLOURS + away.argmin(axis=-1), index)
     found = Image.fromarray(index.astype(np.uint8), "P")
     found.putpalette(colours)
     return found
