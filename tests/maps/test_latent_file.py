@@ -27,7 +27,7 @@ def grid():
 
 
 def test_charts_follow_from_the_natural_parameters(grid):
-    """What writing reading by reading has left is the posterior of the sums."""
+    """Writing reading by reading leaves the posterior of the sums."""
     again = LatentGrid.of(grid.weight, grid.moment, grid.origin, grid.cell_size, grid.decoder)
     np.testing.assert_allclose(again.chart, grid.chart, atol=2e-4)
     np.testing.assert_allclose(again.spread, grid.spread, atol=2e-4)
