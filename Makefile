@@ -15,7 +15,7 @@ RECORDINGS ?=
 CANDIDATES := python3.11 python3.12 python3.13 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow coverage additions faults fuzz mutants chaos lint format install clean
+.PHONY: help demo test test-slow coverage additions faults fuzz mutants chaos lint format docs pictures install clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
@@ -29,6 +29,8 @@ help:
 	@echo "make mutants    put errors of the science into a copy, one at a time: its tests must fail (about half an hour)"
 	@echo "make lint       ruff (rules and format) and mypy"
 	@echo "make format     rewrite the code as ruff wants it"
+	@echo "make docs       the documentation as a static site under site/, without network (two minutes)"
+	@echo "make pictures   the moving pictures of the environments' pages (ten minutes)"
 	@echo "make clean      remove .venv, caches and build products"
 
 install: $(STAMP)
@@ -46,7 +48,7 @@ $(STAMP): constraints.txt pyproject.toml Makefile
 	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \
 	fi
 	@echo "installing into $(VENV) (a minute or two)"
-	@extras=dev,rl,dynamics,datasets; \
+	@extras=dev,rl,dynamics,datasets,docs; \
 	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then extras=$$extras,bullet; \
 	else echo "no PyBullet: it has a wheel for Python 3.11 only; physics=\"bullet\" and its tests need it"; fi; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt \
@@ -94,6 +96,14 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
+docs: $(STAMP)
+	rm -rf site
+	$(BIN)/python -m sphinx --quiet --fresh-env --fail-on-warning --keep-going -c docs/site -b html -d build/docs . site
+	$(BIN)/python docs/site/check_links.py site
+
+pictures: $(STAMP)
+	$(BIN)/python docs/site/moving_pictures.py
+
 clean:
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage .coverage.*
+	rm -rf $(VENV) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage .coverage.*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -425,7 +425,14 @@ def self_contained(block: str) -> bool:
     return used <= bound and ".learn(" not in block and not any(files.search(text) for text in texts)
 
 
-RUNNABLE = [(page, i) for page in PAGES for i, block in enumerate(fences(page)) if self_contained(block)]
+# tests/test_tutorials.py runs whole tutorials
+RUNNABLE = [
+    (page, i)
+    for page in PAGES
+    if page.parent.name != "tutorials"
+    for i, block in enumerate(fences(page))
+    if self_contained(block)
+]
 
 
 @pytest.mark.slow

@@ -21,8 +21,9 @@ class RGBDExtractor(BaseFeaturesExtractor):
     Args:
         observation_space: ``Dict(depth[, rgb][, goal][, pose])``; ``rgb`` with channels first, as stable-baselines3's
             policies have it after their own transposition.
-        features_dim: length of the feature vector. max_depth: depth (m) that is scaled to 1; farther ones are clipped.
-        1 for depth that :class:`vssm_gym.envs.wrappers.NormalizedDepth` scaled.
+        features_dim: length of the feature vector.
+        max_depth: depth (m) that is scaled to 1; farther ones are clipped. 1 for depth that
+            :class:`vssm_gym.envs.wrappers.NormalizedDepth` scaled.
     """
 
     def __init__(self, observation_space: gym.spaces.Dict, features_dim: int = 256, max_depth: float = 5.0) -> None:

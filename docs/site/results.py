@@ -1,0 +1,94 @@
+"""Write the results page from ``eval/baselines``: what its README says of each folder, and figures of its rows.
+
+A sweep gives the headline metrics of its report, with 95 % intervals, for each agent and condition. A study gives the
+means that it has stored with an interval.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.eval.episodes.log import FILE, read_rows
+from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
+from vssm_gym.eval.metrics.aggregate import group_rows
+from vssm_gym.eval.metrics.registry import measured
+from vssm_gym.eval.protocols.registry import view_of
+from vssm_gym.eval.report import tables
+
+BASELINES = Path(__file__).resolve().parents[2] / "eval" / "baselines"
+LABELS = ("model", "seconds", "steps")  # fields that tell the rows of a study apart
+SPACE = "\N{NO-BREAK SPACE}"
+LISTED = 40  # figures of a study, at most
+
+
+def results() -> str:
+    """Return a section for each row of the README's table."""
+    return "\n".join(section(*cells) for cells in described())
+
+
+def described() -> Iterator[tuple[list[str], str, str]]:
+    """Yield the folders or files, the commit and the text of every row of the README's table."""
+    for line in (BASELINES / "README.md").read_text().splitlines():
+        if line.startswith("| `"):
+            names, commit, text = (cell.strip() for cell in line.strip("|").split(" | ", 2))
+            first, *others = re.findall(r"`([\w/.]+)`", names)
+            folder = first.rpartition("/")[0]
+            yield [first, *(f"{folder}/{other}" if folder else other for other in others)], commit, text
+
+
+def section(names: list[str], commit: str, text: str) -> str:
+    """Return the section of one row: its heading, commit, text and figures."""
+    heading = ", ".join(f"`{name}`" for name in names)
+    said = f"Commit {commit}: {text.replace('](../../docs/', '](')}.\n"
+    return "\n".join([f"## {heading}\n", said, *(figures(BASELINES / name) for name in names)])
+
+
+def figures(path: Path) -> str:
+    """Return the tables of one folder or file; nothing where no figure has an interval."""
+    if (path / FILE).is_file():
+        return sweep(path)
+    files = [path] if path.is_file() else sorted(path.glob("*.json"))
+    found = [(name, text) for file in files for name, text in intervals(json.loads(file.read_text()))]
+    found = list(dict.fromkeys(found))[:LISTED]
+    return table(["figure", "mean [95 % interval]"], found) if found else ""
+
+
+def sweep(folder: Path) -> str:
+    """Return the headline metrics of a sweep, one line an agent and condition; scenes are pooled."""
+    view = view_of(read_manifest(folder / MANIFEST)["config"]["env"][0])
+    rows = [measured(row) for row in read_rows(folder / FILE)]
+    by = [*tables.pooled(rows), "agent"]
+    metrics = tables.known(rows, view.measures, view.measures.headline)
+    lines = [
+        [*group, str(len(members)), *(view.measures.mean(members, metric, 0) for metric in metrics)]
+        for group, members in group_rows(rows, by).items()
+    ]
+    return table([*(name.replace("_", " ") for name in by), "episodes", *map(view.measures.label, metrics)], lines)
+
+
+def intervals(found: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
+    """Yield the name and text of every mean with an interval in the JSON of a study."""
+    if isinstance(found, dict) and {"mean", "low", "high"} <= found.keys():
+        if found["low"] is None or not found["low"] <= found["mean"] <= found["high"]:
+            return  # bounds of something else
+        yield (
+            ", ".join(path).removeprefix("figures, ").removeprefix("rows, "),
+            f"{found['mean']:.3g} [{found['low']:.3g}, {found['high']:.3g}]",
+        )
+    elif isinstance(found, dict):
+        label = tuple(
+            str(found[name]) if name == "model" else f"{found[name]} {name}" for name in LABELS if name in found
+        )
+        for name, value in found.items():
+            yield from intervals(value, (*path, *label, name))
+    elif isinstance(found, list):
+        for value in found:
+            yield from intervals(value, path)
+
+
+def table(header: list[str], lines: Any) -> str:
+    """Return a Markdown table; a mean and its interval stay on one line."""
+    rows = [header, ["---"] * len(header), *([cell.replace(" ", SPACE) for cell in cells] for cells in lines)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in rows) + "\n"
