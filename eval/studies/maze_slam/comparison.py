@@ -18,7 +18,7 @@ METHOD_NAMES = {
     "strips_offline": "latent grid by a camera, off line",
     "graph": "scan matching, pose graph",
 }
-BANDS = (80, 50)  # % of the runs inside
+BANDS = {80: 0.15, 50: 0.3}  # % of the runs inside, and opacity
 
 
 def study(rows: Sequence[dict[str, Any]], setting: dict[str, Any]) -> Study:
@@ -81,9 +81,9 @@ def picture(rows: Sequence[dict[str, Any]], methods: Sequence[str]) -> bytes:
     for axes, method in zip(panels, methods, strict=True):
         errors = np.array([row["errors"] for row in rows if row["method"] == method])
         steps = ERRORS_EVERY * np.arange(errors.shape[1])
-        for band in BANDS:
+        for band, opacity in BANDS.items():
             low, high = np.percentile(errors, [50.0 - 0.5 * band, 50.0 + 0.5 * band], axis=0)
-            axes.fill_between(steps, low, high, color="tab:blue", alpha=0.2, lw=0.0, label=f"{band} % of the runs")
+            axes.fill_between(steps, low, high, color="tab:blue", alpha=opacity, lw=0.0, label=f"{band} % of the runs")
         axes.plot(steps, np.median(errors, axis=0), color="tab:blue", label="median")
         axes.set(xlabel="steps", title=METHOD_NAMES[method], ylim=(0.0, None))
         axes.grid(alpha=0.3)
