@@ -50,9 +50,9 @@ def study_folder(name: str, out: Path, resume: bool = False) -> Iterator[None]:
     Raises:
         InputError: it holds an outcome of this study, or anything else; another run writes to it.
     """
+    for suffix in SUFFIXES if out.is_dir() and not resume else ():
+        check_new_file(out / f"{name}.{suffix}")  # before the folder's manifest is written anew
     with owned_folder(out, Owner("study", "study.json", {"version": package_version()}, identity=())):
-        for suffix in () if resume else SUFFIXES:
-            check_new_file(out / f"{name}.{suffix}")
         yield
 
 

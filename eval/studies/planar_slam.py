@@ -20,6 +20,7 @@ from vssm_gym.viz.pictures import svg
 
 INTEGRATED, SLAM, GRAPH = "path integration", "PRISM in the plane", "scan matching, pose graph"
 LATENT = "latent grid"
+WORSE = 0.01  # m, beyond the error of path integration, from which the summary says so
 LATENT_CELL = 6.25  # cells of the occupancy map, of the latent grid's: a chart holds what is around it
 HEADER = ("method", "error at the end, m", "mean error, m", "loops: mean, m", "median, m", "turn, deg", "scans/s")
 OF_THE_CHARTS = (
@@ -39,6 +40,8 @@ def run(
     on_progress: OnProgress | None = None,
     baseline: bool = False,
     latent_passes: int | None = None,
+    seed: int = 0,
+    drive: dict[str, Any] | None = None,
 ) -> tuple[Study, PlanarRun, LatentRun | None]:
     """Track and map a log, and compare with its odometry alone, a latent grid, and scan matching with a pose graph.
 
@@ -50,6 +53,8 @@ def run(
         on_progress: called after every hundred scans.
         baseline: whether to run the pose graph too.
         latent_passes: off-line passes of the latent grid after its on-line one; None: it is not run.
+        seed: of its particles.
+        drive: what the log was made or taken from; only stored.
 
     Returns:
         The outcome for a page, the run itself, and that of the latent grid.
@@ -62,7 +67,7 @@ def run(
     estimates = {INTEGRATED: log.path(), SLAM: found.poses}
     latent = None
     if latent_passes is not None:
-        latent = run_latent(log, LATENT_CELL * cell_size, max_range, latent_passes, on_progress=on_progress)
+        latent = run_latent(log, LATENT_CELL * cell_size, max_range, latent_passes, seed=seed, on_progress=on_progress)
         estimates[LATENT] = latent.poses
     if classical:
         estimates[GRAPH] = classical.poses
@@ -86,6 +91,9 @@ def run(
             "cell_size": cell_size,
             "max_range": max_range,
             "latent_passes": latent_passes,
+            "latent_cell": None if latent is None else LATENT_CELL * cell_size,
+            "seed": seed,
+            **(drive or {}),
         },
         figures=figures,
         notes=(
@@ -134,7 +142,16 @@ def _answer(figures: dict[str, dict[str, Any]], scans: int) -> str:
         )
     elif ours["end"] is not None:
         said.append(f"At the end it is off by {ours['end']:.4f} m, path integration by {integrated['end']:.3f} m.")
+    off = {method: value for method, of in figures.items() if (value := _summary(of)) is not None}
+    said += [f"The {method} is off by {off[method]:.4f} m." for method in (LATENT, GRAPH) if method in off]
+    if off.get(SLAM, 0.0) > off.get(INTEGRATED, 0.0) + WORSE:
+        said.append("It is worse than path integration: smaller cells (--cell) may be needed.")
     return " ".join(said)
+
+
+def _summary(figures: dict[str, Any]) -> float | None:
+    """Return the mean error over the loops, else the error at the end, m."""
+    return figures["loops"]["mean"] if figures["loops"] else figures["end"]
 
 
 def _picture(log: LaserLog, found: PlanarRun, latent: LatentRun | None, estimates: dict[str, np.ndarray]) -> bytes:

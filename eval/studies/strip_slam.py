@@ -1,5 +1,7 @@
 """Run SLAM with a latent grid on the strip images of a drive, beside path integration, and judge both."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,7 +21,13 @@ RING = 0.38  # radius of a drawn chart, cells
 
 
 def run(
-    name: str, log: StripLog, cell_size: float, passes: int, seed: int = 0, on_progress: OnProgress | None = None
+    name: str,
+    log: StripLog,
+    cell_size: float,
+    passes: int,
+    seed: int = 0,
+    drive: dict[str, Any] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> tuple[Study, LatentRun]:
     """Track a drive by its strips and learn their charts.
 
@@ -29,6 +37,7 @@ def run(
         cell_size: of an occupancy map of the place, m; the latent grid's cells are :data:`STRIP_CELL` times as large.
         passes: off-line passes after the on-line one.
         seed: of the particles.
+        drive: what the log was made from; only stored.
         on_progress: called after every hundred strips.
 
     Raises:
@@ -50,7 +59,9 @@ def run(
         header=HEADER,
         lines=[row_of(method, figures[method]) for method in estimates],
         picture=_picture(log, found),
-        setting={"log": name, "scans": len(log), "cell_size": STRIP_CELL * cell_size, "latent_passes": passes},
+        setting={"log": name, "scans": len(log), "latent_cell": STRIP_CELL * cell_size, "latent_passes": passes}
+        | {"seed": seed}
+        | (drive or {}),
         figures=figures,
         notes=(
             "The method reads strips of pixels and odometry, no range. Errors are distances from the true poses, both "

@@ -202,7 +202,7 @@ def commands(tree: dict[str, Any]) -> Iterator[Callable[..., Any]]:
         if isinstance(target, dict):
             yield from commands(target)
         else:
-            file, name = target.split(".")
+            file, name = target.rsplit(".", 1)
             yield getattr(importlib.import_module(f"vssm_gym.cli.{file}"), name)
 
 

@@ -52,6 +52,17 @@ def test_a_log_is_judged_by_its_loops(tmp_path, capsys):
     assert "Over 2 loops" in capsys.readouterr().out
 
 
+def test_cells_that_are_too_coarse_are_said(tmp_path, capsys):
+    slam2d("rooms-v1", tmp_path / "out", steps=60, cell=5.0)
+    assert "It is worse than path integration: smaller cells" in capsys.readouterr().out
+    setting = json.loads((tmp_path / "out" / "slam2d.json").read_text())["setting"]
+    assert {"seed": 0, "noise": "low", "sensor_noise": "low", "steps": 60, "part": None}.items() <= setting.items()
+    before = (tmp_path / "out" / "study.json").stat().st_mtime_ns
+    with pytest.raises(InputError, match="out"):
+        slam2d("rooms-v1", tmp_path / "out", steps=60)
+    assert (tmp_path / "out" / "study.json").stat().st_mtime_ns == before  # a refused run writes nothing
+
+
 def test_a_latent_grid_beside_it(tmp_path):
     """A part of a drive, on line and in one more pass; the charts are drawn beside the occupancy."""
     slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1, scans="0:90", latent=True, passes=1)
@@ -75,6 +86,7 @@ def test_a_camera_in_the_place_of_the_scanner(tmp_path, capsys):
     ("given", "message"),
     [
         ({"log": "no.log"}, "file: expected a laser log"),
+        ({"log": "roms-v1"}, "log: expected a file, or one of .*did you mean 'rooms-v1'"),
         ({"log": "pillars-v1", "cell": 0.0}, "cell: expected above 0 m"),
         ({"log": "pillars-v1", "steps": 0}, "steps"),
         ({"log": "pillars-v1", "passes": 1}, "passes: expected 0 without --latent"),

@@ -83,6 +83,7 @@ EXTRAS = {  # of pyproject.toml, and what they are for
     "bullet": "the PyBullet simulator",
     "dynamics": "flights of the Blackbird data set",
     "datasets": "data sets of Minari and LeRobot",
+    "docs": "make docs",
     "human": "windows",
     "viz": "live viewer, videos",
     "dev": "tests and checks",

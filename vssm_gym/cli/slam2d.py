@@ -36,12 +36,13 @@ def slam2d(
     Args:
         log: file, or rooms-v1, rings-v1 and the other mazes.
         out: new or empty folder.
-        cell: size of the map's cells, m; a maze, which is one metre wide, has a tenth of it.
+        cell: size of the map's cells, m; a maze, which is one metre wide, has a tenth of it. A latent grid's are 6.25
+            times as large, 10 times with a camera.
         max_range: m, beyond which readings are left out; by default what the log says.
         steps: of the drive through a maze.
         noise: of its execution: none, low, mid or high.
         sensor_noise: of its ranges: none, low, mid or high.
-        seed: of the drive.
+        seed: of the drive, and of the particles of the latent grid.
         baseline: compare with scan matching and a pose graph, which GTSAM optimises (pip install gtsam).
         latent: compare with a latent grid (DVBF-LM); OUT gets its poses as trajectory_latent.txt.
         passes: off-line passes of the latent grid after its on-line one.
@@ -53,7 +54,7 @@ def slam2d(
     from vssm_gym.data.strip_logs import StripLog
     from vssm_gym.data.traversals import traverse
     from vssm_gym.envs.tasks.mazes import MAZES, load_maze
-    from vssm_gym.errors import InputError
+    from vssm_gym.errors import InputError, one_of
     from vssm_gym.eval.studies import planar_slam, strip_slam
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.atomic import atomic_write
@@ -68,11 +69,13 @@ def slam2d(
     if by_camera and log not in MAZES:
         raise InputError("slam2d", "sensor", f"lidar for a file; a camera drives through {', '.join(MAZES)}")
     if by_camera and (baseline or latent or max_range is not None):
-        expected = "lidar with --baseline, --latent or --max-range: strips of pixels have no ranges, and one method"
+        expected = "lidar with --baseline, --latent or --max-range: a camera has no ranges, and always the latent grid"
         raise InputError("slam2d", "sensor", expected)
     if not 0.0 < cell < math.inf:
         raise InputError("slam2d", "cell", f"above 0 m and finite, not {cell:g}")
     check_folder(out)
+    if log not in MAZES and not Path(log).suffix and not Path(log).exists():
+        raise InputError("slam2d", "log", f"a file, or {one_of(MAZES, log)}")
     drive: LaserLog | StripLog
     if log in MAZES:
         drive, size = traverse(load_maze(log), steps, seed, noise, sensor_noise, sensor=sensor), 0.1 * cell
@@ -80,14 +83,16 @@ def slam2d(
         drive, size = read_laser_log(Path(log)), cell
     if scans is not None:
         drive = drive.part(*_part(scans, len(drive)))
+    made = {"steps": steps, "noise": noise, "sensor_noise": sensor_noise} if log in MAZES else {}
+    of = {"sensor": sensor, "part": scans, **made}
     with study_folder("slam2d", out):
         with progress_bars() as progress:
             if isinstance(drive, StripLog):
-                study, charts = strip_slam.run(log, drive, size, passes, on_progress=progress)
+                study, charts = strip_slam.run(log, drive, size, passes, seed, of, progress)
                 estimates = {"trajectory.txt": charts.poses}
             else:
                 study, run, beside = planar_slam.run(
-                    Path(log).name, drive, size, max_range, progress, baseline, passes if latent else None
+                    Path(log).name, drive, size, max_range, progress, baseline, passes if latent else None, seed, of
                 )
                 estimates = {"trajectory.txt": run.poses}
                 estimates |= {"trajectory_latent.txt": beside.poses} if beside else {}

@@ -9,7 +9,7 @@ import pytest
 
 from tests.helpers.analytic_room import box_distance
 from tests.helpers.box_rooms import PLAIN
-from vssm_gym.cli import study as commands
+from vssm_gym.cli.studies import simulated as commands
 from vssm_gym.envs.scenes.solids import SolidBox, signed_distance
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import page, stored_rows

@@ -7,7 +7,7 @@ import pytest
 
 from vssm_gym.agents.base import Decision
 from vssm_gym.agents.exploration.maze_random import MazeRandomAgent
-from vssm_gym.cli import study as commands
+from vssm_gym.cli.studies import mazes as commands
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.maze_exploration import run as runner
 from vssm_gym.eval.studies.maze_exploration.comparison import LEADER, curves, lead, picture, study

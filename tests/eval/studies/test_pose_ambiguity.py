@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from vssm_gym.cli import study as commands
+from vssm_gym.cli.studies import posteriors as commands
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.pose_ambiguity import study as ambiguity_study
 from vssm_gym.eval.studies.pose_ambiguity.modes import histogram, parts, spread

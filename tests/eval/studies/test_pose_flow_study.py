@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from vssm_gym.cli import study as commands
+from vssm_gym.cli.studies import posteriors as commands
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies.pose_flow import study as pose_flow_study
 from vssm_gym.eval.studies.pose_flow.ball import DISTANCE, ball_in_camera, true_pose

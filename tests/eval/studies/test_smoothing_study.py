@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from vssm_gym.cli import study as commands
+from vssm_gym.cli.studies import simulated as commands
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import page, stored_rows

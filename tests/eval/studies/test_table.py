@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vssm_gym.cli import study as commands
+from vssm_gym.cli.studies import recordings as commands
 from vssm_gym.errors import InputError
 from vssm_gym.eval.studies import page, stored_rows
 from vssm_gym.eval.studies.calibration import study as calibration_study
