@@ -24,17 +24,18 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 
 BAY = "bay"  # category of the marks of free bays
-CLEARANCES = (0.05, 0.07, 0.09)  # m on either side of a car that stands in the middle of a bay between kerbs
+CLEARANCES = (0.04, 0.055, 0.07)  # m on either side of a car that stands in the middle of a bay between kerbs
 GAP = 0.42  # m between an obstacle of the yard and everything else, at least
 BAYS, PITCH, DEPTH = 6, 0.5, 0.6  # of a row between kerbs: number, m from middle to middle, m from the wall
 END_KERB = 0.08  # m: breadth of the first and the last kerb of a row
 ROOMY = 0.14  # m before and behind a car in the middle of a gap between parked cars
-OBSTACLES, MOVED = 7, 4  # in the yard, and how many of them are moved
+OBSTACLES, MOVED = 7, 5  # in the yard, and how many of them are moved
 MOVED_BY = 0.4  # m, at least
+BEFORE, BESIDE = (0.8, 1.2), 0.4  # m from a bay's middle to that of an obstacle moved there: ahead, and to either side
 INNER = shapely.box(0.1, 0.1, 5.1, 4.1)  # m, between the walls
 STEP = 0.05  # m: bays are centred on multiples of it
 PAINT = 0.004  # m: height of a mark, over which cars drive
-PLACES_TRIED = 4000  # places drawn for one obstacle
+PLACES_TRIED, DRAWS = 400, 50  # places drawn for one obstacle, and arenas drawn before giving up
 STREAM = 3  # of random numbers, apart from those of the homes of the same seed
 KINDS = {
     "crate": (0.32, 0.32, 0.3, "planks", (0.80, 0.62, 0.42), 0.3),
@@ -48,28 +49,47 @@ KINDS = {
 def parking(seed: int, name: str, moved: bool = False) -> Apartment:
     """Build the parking arena of a seed, or with ``moved`` the same arena after MOVED obstacles were moved.
 
-    Raises :class:`InputError` for a seed in whose yard an obstacle finds no place.
+    Raises :class:`InputError` for a seed in whose yard the obstacles find no place.
     """
-    rng = np.random.default_rng([seed, STREAM])
-    fixed = [*_row(rng, 3.8, "north"), *_row(rng, 0.4, "south"), *_gaps(rng, 0.25, "west"), *_gaps(rng, 4.95, "east")]
-    yard: list[Furniture] = []
-    for i in range(OBSTACLES):
-        kind = "barrier" if i < 2 else pick(rng, ("crate", "crate", "post", "tyre stack"))
-        yard.append(_placed(rng, kind, f"{kind} {i + 1}", [*fixed, *yard], None, name))
-    floor = Material(color=tinted(rng, (0.8, 0.8, 0.8), 0.06), texture=pick(rng, ("granite", "checker", "hexagons")), scale=2.0)
-    walls = tuple(
-        look(texture, color, 1.2)
-        for texture, color in zip(
-            rng.permutation(["brick", "mosaic", "stripes", "subway"]).tolist(), (CREAM, GREEN, AMBER, BLUE), strict=True
-        )
-    )
-    if moved:
-        other = np.random.default_rng([seed, STREAM, 1])
-        for i in other.permutation(OBSTACLES)[:MOVED].tolist():
-            rest = [*fixed, *yard[:i], *yard[i + 1 :]]
-            yard[i] = _placed(other, yard[i].category, yard[i].name, rest, yard[i], name)
+    for draw in range(DRAWS):
+        rng = np.random.default_rng([seed, STREAM, draw])
+        fixed = [*_row(rng, 3.8, "north"), *_row(rng, 0.4, "south"), *_gaps(rng, 0.25, "west"), *_gaps(rng, 4.95, "east")]
+        kinds = ["barrier", "barrier", *(pick(rng, ("crate", "crate", "post", "tyre stack")) for _ in range(OBSTACLES - 2))]
+        before = _yard(rng, fixed, kinds)
+        after = before and _moved(np.random.default_rng([seed, STREAM, draw, 1]), fixed, before)
+        if before and after:
+            break
+    else:
+        raise InputError(name, "seed", "one in whose yard all obstacles find a place: take another")
+    color, texture = tinted(rng, (0.8, 0.8, 0.8), 0.06), pick(rng, ("granite", "checker", "hexagons"))
+    textures = rng.permutation(["brick", "mosaic", "stripes", "subway"]).tolist()
+    walls = tuple(look(texture, color, 1.2) for texture, color in zip(textures, (CREAM, GREEN, AMBER, BLUE), strict=True))
+    floor = Material(color=color, texture=texture, scale=2.0)
     apartment = one_room(name, ARENA_CORNERS, 2.2, floor, walls, ENTRANCE)
+    yard = after if moved else before
     return apartment.model_copy(update={"furniture": (*fixed, *yard, *pictures(apartment, 0.9, 1.2, 1.3))})
+
+
+def _yard(rng: np.random.Generator, fixed: list[Furniture], kinds: list[str]) -> list[Furniture]:
+    """Return obstacles at random places between fixed pieces; none where one finds no place."""
+    yard: list[Furniture] = []
+    for i, kind in enumerate(kinds):
+        placed = _placed(rng, kind, f"{kind} {i + 1}", [*fixed, *yard])
+        if placed is None:
+            return []
+        yard.append(placed)
+    return yard
+
+
+def _moved(rng: np.random.Generator, fixed: list[Furniture], before: list[Furniture]) -> list[Furniture]:
+    """Return the obstacles with MOVED of them in front of bays; none where one finds no place."""
+    yard = list(before)
+    for i in rng.permutation(len(yard))[:MOVED].tolist():
+        placed = _placed(rng, yard[i].category, yard[i].name, [*fixed, *yard[:i], *yard[i + 1 :]], yard[i])
+        if placed is None:
+            return []
+        yard[i] = placed
+    return yard
 
 
 def _row(rng: np.random.Generator, y: float, side: str) -> list[Furniture]:
@@ -88,7 +108,7 @@ def _row(rng: np.random.Generator, y: float, side: str) -> list[Furniture]:
         if i in taken:
             pieces.append(_car(rng, f"{side} car {i + 1}", x, y))
         else:
-            pieces.append(_named(f"{side} bay {i + 1}", BAY, (x, y, width, DEPTH), PAINT, look("stripes", BLUE, 0.4)))
+            pieces.append(_named(f"{side} bay {i + 1}", BAY, (x, y, width, DEPTH), PAINT, look("stripes", CREAM, 0.4)))
     return pieces
 
 
@@ -100,7 +120,7 @@ def _gaps(rng: np.random.Generator, x: float, side: str) -> list[Furniture]:
     pieces = [_car(rng, f"{side} car {i + 1}", x, y + i * (long + gap)) for i in range(3)]
     for i in range(2):
         mark = (x, y + (i + 0.5) * (long + gap), wide + 0.04, gap)
-        pieces.append(_named(f"{side} bay {i + 1}", BAY, mark, PAINT, look("stripes", GREEN, 0.4)))
+        pieces.append(_named(f"{side} bay {i + 1}", BAY, mark, PAINT, look("stripes", CREAM, 0.4)))
     return pieces
 
 
@@ -115,13 +135,22 @@ def _named(name: str, category: str, rectangle: tuple[float, float, float, float
 
 
 def _placed(
-    rng: np.random.Generator, kind: str, name: str, others: list[Furniture], before: Furniture | None, scene: str
-) -> Furniture:
-    """Return an obstacle at the first drawn place GAP from all others, and MOVED_BY from where it was before."""
+    rng: np.random.Generator,
+    kind: str,
+    name: str,
+    others: list[Furniture],
+    before: Furniture | None = None,
+) -> Furniture | None:
+    """Return an obstacle at the first drawn place GAP from all others; None where there is none.
+
+    One that stood somewhere ``before`` is moved by MOVED_BY or more, in front of a bay between kerbs.
+    """
     taken = [ground(other) for other in others]
+    bays = [other.boxes[0].center for other in others if other.category == BAY and other.boxes[0].size[1] == DEPTH]
     width, depth, height, texture, color, scale = KINDS[kind]
     for _ in range(PLACES_TRIED):
-        x, y = (round(float(v), 2) for v in rng.uniform((0.1, 0.1), (5.1, 4.1)))
+        at = rng.uniform((0.1, 0.1), (5.1, 4.1)) if before is None else _in_front(rng, pick(rng, bays))
+        x, y = (round(float(v), 2) for v in at)
         yaw = round(float(rng.uniform(-math.pi / 2, math.pi / 2)), 3)
         found = piece(kind, (x, y, width, depth), height, look(texture, color, scale), yaw)
         shape = ground(found)
@@ -129,10 +158,15 @@ def _placed(
             continue
         if min(shape.distance(other) for other in taken) < GAP:
             continue
-        if before is not None and math.dist(found.boxes[0].center, before.boxes[0].center) < MOVED_BY:
-            continue
-        return found.model_copy(update={"name": name})
-    raise InputError(scene, "seed", f"one in whose yard a {kind} finds a place: take another")
+        if before is None or math.dist(found.boxes[0].center, before.boxes[0].center) >= MOVED_BY:
+            return found.model_copy(update={"name": name})
+    return None
+
+
+def _in_front(rng: np.random.Generator, bay: tuple[float, float, float]) -> tuple[float, float]:
+    """Return a place in the yard from which an obstacle is in the way of cars that turn into a bay, m."""
+    ahead = float(rng.uniform(*BEFORE)) * (1.0 if bay[1] < 0.5 * ARENA_CORNERS[2][1] else -1.0)
+    return bay[0] + float(rng.uniform(-BESIDE, BESIDE)), bay[1] + ahead
 
 
 def ground(item: Furniture) -> shapely.Polygon:
