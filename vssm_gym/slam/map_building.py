@@ -185,8 +185,9 @@ def ensure_map(
     """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
 
     Where obstacles were moved after the recording, it was made in the scene before
-    (:func:`~vssm_gym.envs.scenes.generator.recorded_spec`). Map and recording are kept. They are used again if scene, seed, noise and tracer of the drive, cell size and kind of
-    poses are the same, else refused: results in the folder are of these maps.
+    (:func:`~vssm_gym.envs.scenes.generator.recorded_spec`). Map and recording are kept. They are used again if scene,
+    seed, noise and tracer of the drive, cell size and kind of poses are the same, else refused: results in the folder
+    are of these maps.
 
     Args:
         scene: built-in name or path of a scene file.

@@ -135,6 +135,7 @@ def _arena(name: str, floor: Material, walls: Sequence[Material], pieces: Sequen
 
 
 def piece(category: str, rectangle: Rectangle, height: float, look: Material, yaw: float = 0.0) -> Furniture:
+    """Return a piece of one box on the floor."""
     x, y, width, breadth = rectangle
     center = (round(x, 3), round(y, 3), round(0.5 * height, 4))
     box = Box(center=center, size=(width, breadth, height), yaw=round(yaw, 3), material=look)
@@ -142,4 +143,5 @@ def piece(category: str, rectangle: Rectangle, height: float, look: Material, ya
 
 
 def look(texture: str, color: Color, scale: float) -> Material:
+    """Return the material of a texture, ``scale`` m large, in a colour."""
     return Material(color=color, texture=texture, scale=scale)

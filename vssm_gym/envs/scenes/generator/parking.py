@@ -24,7 +24,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 
 BAY = "bay"  # category of the marks of free bays
-CLEARANCES = (0.04, 0.055, 0.07)  # m on either side of a car that stands in the middle of a bay between kerbs
+CLEARANCES = (0.05, 0.06, 0.08)  # m on either side of a car that stands in the middle of a bay between kerbs
 GAP = 0.42  # m between an obstacle of the yard and everything else, at least
 BAYS, PITCH, DEPTH = 6, 0.5, 0.6  # of a row between kerbs: number, m from middle to middle, m from the wall
 END_KERB = 0.08  # m: breadth of the first and the last kerb of a row
@@ -53,8 +53,17 @@ def parking(seed: int, name: str, moved: bool = False) -> Apartment:
     """
     for draw in range(DRAWS):
         rng = np.random.default_rng([seed, STREAM, draw])
-        fixed = [*_row(rng, 3.8, "north"), *_row(rng, 0.4, "south"), *_gaps(rng, 0.25, "west"), *_gaps(rng, 4.95, "east")]
-        kinds = ["barrier", "barrier", *(pick(rng, ("crate", "crate", "post", "tyre stack")) for _ in range(OBSTACLES - 2))]
+        fixed = [
+            *_row(rng, 3.8, "north"),
+            *_row(rng, 0.4, "south"),
+            *_gaps(rng, 0.25, "west"),
+            *_gaps(rng, 4.95, "east"),
+        ]
+        kinds = [
+            "barrier",
+            "barrier",
+            *(pick(rng, ("crate", "crate", "post", "tyre stack")) for _ in range(OBSTACLES - 2)),
+        ]
         before = _yard(rng, fixed, kinds)
         after = before and _moved(np.random.default_rng([seed, STREAM, draw, 1]), fixed, before)
         if before and after:
@@ -63,11 +72,13 @@ def parking(seed: int, name: str, moved: bool = False) -> Apartment:
         raise InputError(name, "seed", "one in whose yard all obstacles find a place: take another")
     color, texture = tinted(rng, (0.8, 0.8, 0.8), 0.06), pick(rng, ("granite", "checker", "hexagons"))
     textures = rng.permutation(["brick", "mosaic", "stripes", "subway"]).tolist()
-    walls = tuple(look(texture, color, 1.2) for texture, color in zip(textures, (CREAM, GREEN, AMBER, BLUE), strict=True))
+    walls = tuple(
+        look(texture, color, 1.2) for texture, color in zip(textures, (CREAM, GREEN, AMBER, BLUE), strict=True)
+    )
     floor = Material(color=color, texture=texture, scale=2.0)
-    apartment = one_room(name, ARENA_CORNERS, 2.2, floor, walls, ENTRANCE)
-    yard = after if moved else before
-    return apartment.model_copy(update={"furniture": (*fixed, *yard, *pictures(apartment, 0.9, 1.2, 1.3))})
+    apartment = one_room("parking", ARENA_CORNERS, 2.2, floor, walls, ENTRANCE)
+    pieces = (*fixed, *(after if moved else before), *pictures(apartment, 0.9, 1.2, 1.3))
+    return apartment.model_copy(update={"name": name, "furniture": pieces})
 
 
 def _yard(rng: np.random.Generator, fixed: list[Furniture], kinds: list[str]) -> list[Furniture]:
@@ -130,7 +141,9 @@ def _car(rng: np.random.Generator, name: str, x: float, y: float) -> Furniture:
     return _named(name, "car", (x, y, car.width, car.length), car.height, paint)
 
 
-def _named(name: str, category: str, rectangle: tuple[float, float, float, float], height: float, paint: Material) -> Furniture:
+def _named(
+    name: str, category: str, rectangle: tuple[float, float, float, float], height: float, paint: Material
+) -> Furniture:
     return piece(category, rectangle, height, paint).model_copy(update={"name": name})
 
 
