@@ -137,7 +137,7 @@ def _gaps(rng: np.random.Generator, x: float, side: str) -> list[Furniture]:
 
 def _car(rng: np.random.Generator, name: str, x: float, y: float) -> Furniture:
     """Return a parked car that stands along y."""
-    car, paint = Car(), look("metal", pick(rng, (RED, BLUE, GREEN, CREAM)), 0.4)
+    car, paint = Car(), look("metal", pick(rng, (RED, BLUE, GREEN)), 0.4)
     return _named(name, "car", (x, y, car.width, car.length), car.height, paint)
 
 
