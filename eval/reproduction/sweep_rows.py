@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vssm_gym.agents.registry import AGENTS, WITH
-from vssm_gym.envs.scenes.specs import scene_name
+from vssm_gym.envs.scenes.specs import scene_name, spec_of_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, episode_key, read_rows
@@ -101,7 +101,7 @@ def _config(
                 folder / MANIFEST, "config.agents", f"agents of the registry; {agent} is a file or unknown"
             )
     names = list(dict.fromkeys(row["scene"] for row in rows))
-    given = dict(manifest["config"]) | {"agents": agents, "scenes": [scenes.get(name, name) for name in names]}
+    given = dict(manifest["config"]) | {"agents": agents, "scenes": [scenes.get(name, spec_of_name(name)) for name in names]}
     config = SweepConfig.model_validate({name: value for name, value in given.items() if value is not None})
     check_environments(config, folder / MANIFEST)
     check_names(config, folder / MANIFEST)
