@@ -14,6 +14,7 @@ alone.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,7 +36,7 @@ def size_of(parts: Sequence[str]) -> int:
     return sum(SIZES[part] for part in parts)
 
 
-def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Float[np.ndarray, "*batch features"]:
+def features(observation: Mapping[str, Any], parts: Sequence[str], xp: Any = np) -> Float[Any, "*batch features"]:
     """Return the vector of an observation, float32.
 
     Args:
@@ -44,10 +45,11 @@ def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Flo
             forward, left (m), turn (rad); ``commands (*batch, 4, 3)`` turn, direction (rad), step (m). The entries of
             ``parts`` are read, and with the pose also the goal.
         parts: some of SIZES, in any order.
+        xp: the module of the arrays, ``numpy`` or ``jax.numpy``.
     """
     makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std, "commands": _commands}
-    made = [makers[part](observation) for part in SIZES if part in parts]
-    return np.concatenate(made, axis=-1).astype(np.float32)
+    made = [makers[part](observation, xp) for part in SIZES if part in parts]
+    return xp.concatenate(made, axis=-1).astype(np.float32)
 
 
 def relative(pose: Float[np.ndarray, "3"], goal: Float[np.ndarray, "2"], farther: float = 0.0) -> np.ndarray:
@@ -57,38 +59,38 @@ def relative(pose: Float[np.ndarray, "3"], goal: Float[np.ndarray, "2"], farther
     return np.array([np.hypot(away[0], away[1]) + farther, np.cos(bearing), np.sin(bearing)])
 
 
-def _nearness(distance: np.ndarray) -> np.ndarray:
+def _nearness(distance: Any) -> Any:
     return HALF_DISTANCE / (HALF_DISTANCE + distance)
 
 
-def _scan(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+def _scan(observation: Mapping[str, Any], xp: Any) -> Any:
     scan = observation["scan"]
-    return np.where(scan > 0.0, _nearness(scan), 0.0)
+    return xp.where(scan > 0.0, _nearness(scan), 0.0)
 
 
-def _goal(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+def _goal(observation: Mapping[str, Any], xp: Any) -> Any:
     goal = observation["goal"]
     distance = goal[..., :1]
-    return np.concatenate([goal[..., 1:], distance / APARTMENT_SIZE, _nearness(distance)], axis=-1)
+    return xp.concatenate([goal[..., 1:], distance / APARTMENT_SIZE, _nearness(distance)], axis=-1)
 
 
-def _pose(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+def _pose(observation: Mapping[str, Any], xp: Any) -> Any:
     goal, pose = observation["goal"], observation["pose"]
-    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-    direction = np.stack([c * goal[..., 1] - s * goal[..., 2], s * goal[..., 1] + c * goal[..., 2]], axis=-1)
+    c, s = xp.cos(pose[..., 2]), xp.sin(pose[..., 2])
+    direction = xp.stack([c * goal[..., 1] - s * goal[..., 2], s * goal[..., 1] + c * goal[..., 2]], axis=-1)
     there = pose[..., :2] + goal[..., :1] * direction
-    return np.concatenate([np.stack([c, s], axis=-1), direction, _waves(pose[..., :2]), _waves(there)], axis=-1)
+    return xp.concatenate([xp.stack([c, s], axis=-1), direction, _waves(pose[..., :2], xp), _waves(there, xp)], axis=-1)
 
 
-def _pose_std(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+def _pose_std(observation: Mapping[str, Any], xp: Any) -> Any:
     return 10.0 * observation["pose_std"]
 
 
-def _commands(observation: Mapping[str, np.ndarray]) -> np.ndarray:
+def _commands(observation: Mapping[str, Any], xp: Any) -> Any:
     scaled = observation["commands"] / COMMAND_UNITS
     return scaled.reshape(*scaled.shape[:-2], -1)
 
 
-def _waves(xy: np.ndarray) -> np.ndarray:
+def _waves(xy: Any, xp: Any) -> Any:
     phase = (2.0 * np.pi * xy[..., None] / WAVES).reshape(*xy.shape[:-1], -1)
-    return np.concatenate([np.sin(phase), np.cos(phase)], axis=-1)
+    return xp.concatenate([xp.sin(phase), xp.cos(phase)], axis=-1)

@@ -101,7 +101,10 @@ def _config(
                 folder / MANIFEST, "config.agents", f"agents of the registry; {agent} is a file or unknown"
             )
     names = list(dict.fromkeys(row["scene"] for row in rows))
-    given = dict(manifest["config"]) | {"agents": agents, "scenes": [scenes.get(name, spec_of_name(name)) for name in names]}
+    given = dict(manifest["config"]) | {
+        "agents": agents,
+        "scenes": [scenes.get(name, spec_of_name(name)) for name in names],
+    }
     config = SweepConfig.model_validate({name: value for name, value in given.items() if value is not None})
     check_environments(config, folder / MANIFEST)
     check_names(config, folder / MANIFEST)

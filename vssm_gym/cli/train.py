@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vssm_gym.training.run import Row
 
 
-@interruptible("checkpoint.pt", "demonstrations.npz", "policy.npz")
+@interruptible("checkpoint.pt", "checkpoint.npz", "demonstrations.npz", "policy.npz")
 def train(
     config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
     out: Path,
@@ -26,7 +26,7 @@ def train(
     map: Path | None = None,
     seed: int | None = None,
 ) -> None:
-    """Train a policy; OUT gets policy.npz, checkpoint.pt, progress.jsonl and logs for TensorBoard.
+    """Train a policy; OUT gets policy.npz, a checkpoint and progress.jsonl.
 
     Interrupt at any time: progress is kept, and --resume continues. Return and success are shown when enough episodes
     have ended. To evaluate the policy, run `vssm-gym evaluate`, or name it in a sweep as "policy:OUT/policy.npz".
