@@ -3,8 +3,8 @@
     P(no reading) + int p(d) dd,   int p(c | d) dc,   each by importance sampling about the image that was taken
 
 Half of the draws are uniform, the others at a distance from the image's own value that is uniform in its logarithm, so
-that narrow and wide densities are both met. The estimate is unbiased for every density; its mean over the pixels of
-some images is precise to a few per cent for those of a camera.
+that narrow and wide densities are both met. The estimate is unbiased for every density. A narrow one far from the image
+is rarely met, so that a single estimate of it is mostly too small, which accuses no model.
 """
 
 import math
