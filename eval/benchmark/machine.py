@@ -23,6 +23,11 @@ def machine() -> dict[str, Any]:
     }
 
 
+def load() -> float | None:
+    """Return how many processes ran or waited to run, a mean over a minute; None where the system does not tell."""
+    return round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None
+
+
 def described(found: dict[str, Any]) -> str:
     """Return a machine in words."""
     of = "" if found["of_cores"] == found["cores"] else f" of {found['of_cores']}"

@@ -7,7 +7,7 @@ from vssm_gym.eval.benchmark.results import Manifest, Place, Table
 from vssm_gym.eval.benchmark.suite import DrivingTrack
 from vssm_gym.viz.text import shortened, visible
 
-_ESCAPED = str.maketrans({character: f"\\{character}" for character in "\\`*_[]<>|#"})
+_ESCAPED = str.maketrans({character: f"\\{character}" for character in "\\`*[]<>|#"})
 
 
 def markdown(tables: Sequence[Table], own: Manifest, references: Iterable[Manifest], notices: Iterable[str]) -> str:
@@ -15,12 +15,18 @@ def markdown(tables: Sequence[Table], own: Manifest, references: Iterable[Manife
     parts = [f"# Benchmark {_text(own.suite)}\n", f"Entries: {', '.join(_text(one.label) for one in own.entries)}.\n"]
     parts += [_section(table) for table in tables]
     parts.append("## How it was made\n")
-    lines = [("this run", own.suite_hash, own.version, described(own.machine))]
-    lines += [("references", one.suite_hash, one.version, described(one.machine)) for one in references]
+    lines = [("this run", own.suite_hash, own.version, described(own.machine), _load(own))]
+    lines += [("references", one.suite_hash, one.version, described(one.machine), _load(one)) for one in references]
     lines = list(dict.fromkeys(lines))
-    parts.append(_table(["rows", "hash of the suite", "version", "machine"], [list(map(_text, one)) for one in lines]))
+    parts.append(
+        _table(["rows", "hash of the suite", "version", "machine", "load"], [list(map(_text, one)) for one in lines])
+    )
     parts += [f"- {_text(notice)}" for notice in notices]
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _load(manifest: Manifest) -> str:
+    return "-" if manifest.load is None else f"{manifest.load:.1f}"
 
 
 def _section(table: Table) -> str:

@@ -48,6 +48,7 @@ class Manifest(StrictModel):
     entries: tuple[Entrant, ...]
     version: str
     machine: dict[str, Any]
+    load: float | None = None  # processes that ran or waited when it began: times on a busy machine are longer
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from vssm_gym.agents.registry import agent_type
 from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.benchmark import page
 from vssm_gym.eval.benchmark.entries import Entry, find_entries
-from vssm_gym.eval.benchmark.machine import described, machine
+from vssm_gym.eval.benchmark.machine import described, load, machine
 from vssm_gym.eval.benchmark.prediction.run import UNINFORMED, PredictionUnit, run_drive
 from vssm_gym.eval.benchmark.results import (
     MANIFEST,
@@ -84,6 +84,7 @@ def run_benchmark(
         entries=tuple(_entrant(entry, suite) for entry in entries),
         version=package_version(),
         machine=machine(),
+        load=load(),
     )
     content = manifest.model_dump(mode="json")
     owner = Owner("benchmark", MANIFEST, content, identity=("suite_hash", "entries"), resumed=tuple(suite.tracks))

@@ -43,7 +43,7 @@ class DrivingTrack(StrictModel):
 
     ``map`` names a map that comes with the package; without it, maps are learned. ``unmapped`` admits only agents that
     need no map. ``pose`` says whether agents that observe the true pose are ranked (``observed``) or stand apart.
-    ``seconds`` of its own time an agent may use in an episode.
+    ``seconds`` of processor time an agent may use in an episode.
     """
 
     kind: Literal["driving"]
@@ -82,7 +82,7 @@ class Recording(StrictModel):
 
 
 class SlamTrack(StrictModel):
-    """Define a track of SLAM methods; ``seconds`` of its own time a method may use for a recording."""
+    """Define a track of SLAM methods; ``seconds`` of processor time a method may use for a recording."""
 
     kind: Literal["slam"]
     about: Text
@@ -93,7 +93,7 @@ class SlamTrack(StrictModel):
 class PredictionTrack(StrictModel):
     """Define a track of world models, which predict images and poses of drives through scenes whose map they are given.
 
-    ``seconds`` of its own time a model may use for a drive.
+    ``seconds`` of processor time a model may use for a drive.
     """
 
     kind: Literal["prediction"]

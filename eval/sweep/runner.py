@@ -78,8 +78,8 @@ def run_sweep(
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
         map_file: a map for the agents of a configuration of one scene, which is copied; None: maps are learned.
-        agent_seconds: of its own time that an agent may use in an episode. With it, an agent's errors, wrong decisions
-            and lost time are failures of its episodes; None: its time is its own, and its errors end the sweep.
+        agent_seconds: of processor time that an agent may use in an episode. With it, an agent's errors, wrong
+            decisions and lost time are failures of its episodes; None: its time is its own, its errors end the sweep.
         on_progress: called with ("recording" | "map" | "episodes" | "ending", done, total).
 
     Returns:

@@ -60,7 +60,7 @@ class Job:
     config_hash: str
     version: str
     explored_file: Path | None = None  # for the final map of an explorer
-    agent_seconds: float | None = None  # of its own time that the agent may use; its errors are then failures
+    agent_seconds: float | None = None  # of processor time that the agent may use; its errors are then failures
 
 
 @contextlib.contextmanager

@@ -59,8 +59,8 @@ def test_a_strangers_agent_enters_beside_a_crashing_one_and_one_of_the_package(i
     assert {row["failure"] for row in crashed} == {"fault: ArithmeticError: no answer"}
     assert all(row["steps"] == 3 for row in crashed)
     text = page.read_text()
-    assert "- strangers\\_crash: 2 of 2 runs: ArithmeticError: no answer" in text
-    assert re.search(r"\| \d \| \*\*strangers\\_straight\*\* \| ", text)
+    assert "- strangers_crash: 2 of 2 runs: ArithmeticError: no answer" in text
+    assert re.search(r"\| \d \| \*\*strangers_straight\*\* \| ", text)
     assert write_report(out / "mapping", 0, None).is_file()
 
 
