@@ -14,7 +14,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.benchmark import results
 from vssm_gym.eval.benchmark.results import MANIFEST
 from vssm_gym.eval.benchmark.run import PAGE, RESULTS, run_benchmark
-from vssm_gym.eval.benchmark.suite import read_suite
+from vssm_gym.eval.benchmark.suite import SUITES, read_suite
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import runner, worker
@@ -146,3 +146,17 @@ def test_the_command_scores_a_strangers_file_in_worker_processes(tmp_path):
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("error: benchmark: entry: expected FILE.py:CLASS")
     assert wrong.stderr.count("\n") == 1
+
+
+def test_committed_references_are_rows_of_tracks_of_public_suites(tmp_path):
+    suites = [read_suite(path) for path in SUITES.glob("*.yaml")]
+    for folder in (path.parent for path in results.REFERENCES.glob(f"*/{MANIFEST}")):
+        [suite] = [suite for suite in suites if folder in results.references_of(suite, tmp_path)]
+        tables = results.tables(suite, folder, {})
+        assert tables
+        for table in tables:
+            assert table.places
+            for place in table.places:
+                assert np.isfinite(place.line.score.mean)
+                assert place.line.episodes > 0
+                assert "its process has died" not in place.line.faults  # the run had ended
