@@ -77,7 +77,7 @@ class Line:
         score: with its interval over tasks.
         success: share of the episodes; of recordings, those whose error is small; of drives, those that ran.
         collisions: steps in contact an episode, of a car collisions; None where nothing can collide.
-        p95: s, 95 % point of a decision's time, on average over episodes; None where nothing was measured.
+        p95: s, 95 % point of a decision's time, the median over episodes; None where nothing was measured.
         episodes: that the suite has, run or lost.
         faults: how many failed by the entry's own fault, by reason.
         versions: of the package that made the rows.
@@ -118,7 +118,7 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         score=bootstrap_mean(values, units),
         success=float(np.sum([row["success"] for row in rows])) / max(episodes, 1),
         collisions=float(np.mean(contacts)) if contacts else None,
-        p95=float(np.mean(times)) if times else None,
+        p95=float(np.median(times)) if times else None,  # the first episode compiles
         episodes=episodes,
         faults=dict(faults),
         versions=tuple(dict.fromkeys(str(row.get("version")) for row in rows)),
