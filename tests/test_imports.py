@@ -160,6 +160,7 @@ FOLDERS = {
         ["video"],
         ["studies", "faults"],
         ["bench", ""],
+        ["benchmark"],
     ],
 }
 EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it

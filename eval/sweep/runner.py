@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +49,10 @@ if TYPE_CHECKING:
 SIGNAL_SECONDS = 0.5  # within which a signal that was sent to a group of processes has reached all of them
 
 
+class WorkerDiedError(InputError):
+    """Report a worker process that has ended before its episode did."""
+
+
 def run_sweep(
     config: SweepConfig,
     out: str | Path,
@@ -57,6 +62,7 @@ def run_sweep(
     seed: int = 0,
     shard: Part | None = None,
     map_file: Path | None = None,
+    agent_seconds: float | None = None,
     on_progress: OnProgress | None = None,
 ) -> Path:
     """Run the episodes of a configuration that are not yet in ``out/episodes.jsonl``.
@@ -72,14 +78,16 @@ def run_sweep(
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
         map_file: a map for the agents of a configuration of one scene, which is copied; None: maps are learned.
+        agent_seconds: of processor time that an agent may use in an episode. With it, an agent's errors, wrong
+            decisions and lost time are failures of its episodes; None: its time is its own, its errors end the sweep.
         on_progress: called with ("recording" | "map" | "episodes" | "ending", done, total).
 
     Returns:
         The file ``out/episodes.jsonl``.
 
     Raises:
-        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died;
-            a program that workers cannot import; an agent that returns no decision.
+        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died
+            (:class:`WorkerDiedError`); a program that workers cannot import; an agent that returns no decision.
         OutputError: a full disk or the like; the episodes before are kept.
         RuntimeError: an error inside an agent, whose traceback precedes it; the message names scene and task.
     """
@@ -113,6 +121,7 @@ def run_sweep(
                 if map_file is not None:
                     copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
                 jobs = jobs_of(batch, scene, apartments[scene], out, config, manifest, on_progress)
+                jobs = [replace(job, agent_seconds=agent_seconds) for job in jobs]
                 worker.release_memory()
                 _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
     return out / FILE
@@ -316,7 +325,7 @@ def _run(
                 raise InputError("sweep", "workers", expected) from None
             expected = "worker processes that live to the end; one was killed, possibly for lack of memory"
             kept = f"{len(log.rows)} of {total} episodes are kept ({RESUME})"
-            raise InputError("sweep", "workers", f"{expected}; {kept}") from error
+            raise WorkerDiedError("sweep", "workers", f"{expected}; {kept}") from error
         except InputError as error:
             raise error.with_traceback(None) from None
         except Exception as error:

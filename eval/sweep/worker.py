@@ -22,7 +22,9 @@ from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
+from vssm_gym.eval.metrics.failure import FAULT
 from vssm_gym.eval.protocols.registry import protocol_of
+from vssm_gym.eval.sweep.supervision import SupervisedAgent
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from multiprocessing.synchronize import Event
@@ -58,6 +60,7 @@ class Job:
     config_hash: str
     version: str
     explored_file: Path | None = None  # for the final map of an explorer
+    agent_seconds: float | None = None  # of processor time that the agent may use; its errors are then failures
 
 
 @contextlib.contextmanager
@@ -110,6 +113,8 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
     episode = job.episode
     try:
         protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
+        supervised = None if job.agent_seconds is None else SupervisedAgent(agent, job.agent_seconds)
+        agent = supervised or agent
         learned = _map(episode.condition.env, job.map_file) if job.map_file else None
         result = protocol.run(episode, agent, job.task_file, learned, wrap=wrap)
     except (InputError, OutputError):
@@ -117,6 +122,8 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
     except Exception as error:  # of a class that only this process may know, so that its text is sent
         message = f"{episode.words()}: {type(error).__name__}: {error}"
         raise RuntimeError(message).with_traceback(error.__traceback__) from None
+    if supervised is not None and supervised.fault is not None:
+        result |= {"success": False, "failure": f"{FAULT}: {supervised.fault}"}
     if job.explored_file:
         result["explored"] = _keep(agent, job)
     signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}
