@@ -136,6 +136,8 @@ def paired_difference(
     """
     keys, first, second = _shared(rows, metric, agent, reference, by)
     tasks = [task for task, _ in keys]
+    if all(len(runs) == 1 for runs in (*first, *second)):  # episodes with equal values then differ by 0 exactly
+        return bootstrap_mean(_differences(first, second), tasks, seed)
     of, minus = (resampling.cells(_of_method(each, tasks)) for each in (first, second))
     return replace(_interval(resampling.bootstrap(resampling.mean, of, seed, minus), of), episodes=len(keys))
 
@@ -148,12 +150,15 @@ def paired_values(
     Of a method with several runs it is the mean over them.
     """
     keys, of_first, of_second = _shared(rows, metric, first, second, by)
-    average = lambda values: sum(values.values()) / len(values)
-    differences = [average(a) - average(b) for a, b in zip(of_first, of_second, strict=True)]
-    return differences, [task for task, _ in keys]
+    return _differences(of_first, of_second), [task for task, _ in keys]
 
 
 _Runs = dict[str, float]  # the training run, and the metric of its episode
+
+
+def _differences(first: Sequence[_Runs], second: Sequence[_Runs]) -> list[float]:
+    average = lambda values: sum(values.values()) / len(values)
+    return [average(a) - average(b) for a, b in zip(first, second, strict=True)]
 
 
 def _shared(

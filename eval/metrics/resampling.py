@@ -1,7 +1,7 @@
 """Resample tasks and training runs together: the bootstrap behind every interval of a mean or an interquartile mean.
 
     theta* = theta under weights w_t v_r,    w ~ Multinomial(T, 1/T),    v ~ Multinomial(R - 1, 1/R)
-    [theta + k (q_2.5 - theta), theta + k (q_97.5 - theta)],    k = t_nu / t_inf,    nu = (R - 1) (V / V_R)^2
+    [q_2.5 - (k - 1) (theta - q_2.5), q_97.5 + (k - 1) (q_97.5 - theta)],    k = t_nu / t_inf,    nu = (R - 1) (V / V_R)^2
 
 Tasks ``t`` and runs ``r`` of a training are crossed: every run meets every task. An episode counts as often as its task
 and its run were drawn ("pigeonhole bootstrap", Owen, 2007), so the interval is for other tasks and other trainings. With
@@ -120,7 +120,7 @@ def bootstrap(statistic: Statistic, of: Scores, seed: int = 0, minus: Scores | N
     low, high = np.quantile(drawn, _ENDS, axis=0)
     stretch = _stretch(drawn.var(axis=0), [(_between_runs(statistic, one), one.runs) for one in groups])
     least, most = (_sum_of_ends(groups, end) for end in (np.min, np.max))
-    low, high = (np.clip(value + stretch * (end - value), least, most) for end in (low, high))
+    low, high = (np.clip(end + (stretch - 1.0) * (end - value), least, most) for end in (low, high))
     return Bounds(value, low, high)
 
 
@@ -164,11 +164,11 @@ def _between_runs(statistic: Statistic, of: Scores) -> np.ndarray:
 
 
 def _stretch(variance: np.ndarray, between: Sequence[tuple[np.ndarray, int]]) -> np.ndarray:
-    """Return ``k`` of each column: 1 where runs do not differ."""
+    """Return ``k`` of each column."""
     whole = np.maximum(variance, np.sum([part for part, _ in between], axis=0))
     inverse = np.sum([part**2 / (runs - 1) for part, runs in between if runs > 1] or [np.zeros_like(whole)], axis=0)
     freedom = np.divide(whole**2, inverse, out=np.full_like(whole, np.inf), where=inverse > 0.0)
-    return stats.t.ppf(_ENDS[1], freedom) / stats.norm.ppf(_ENDS[1])
+    return stats.t.ppf(_ENDS[1], freedom) / stats.t.ppf(_ENDS[1], np.inf)  # 1 exactly where runs do not differ
 
 
 def _sum_of_ends(groups: Sequence[Scores], end: Callable[..., np.ndarray]) -> np.ndarray:
