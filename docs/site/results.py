@@ -1,8 +1,8 @@
 """Write the results page from ``eval/baselines``: what its README says of each folder, and figures of its rows.
 
 A sweep gives the headline metrics of its report, with 95 % intervals, for each agent and condition: the mean, and of a
-score the interquartile mean too. Policies of one training are one line, over tasks and training seeds. A study gives the
-means that it has stored with an interval.
+score the interquartile mean too. Policies of one training are one line, over tasks and training seeds. A study gives
+the means that it has stored with an interval.
 """
 
 import json

@@ -169,11 +169,7 @@ def _shared(
     rows = list(rows)
     of_first, of_second = (_by_episode(rows, metric, by, value) for value in (first, second))
     complete = [max(map(len, found.values()), default=0) for found in (of_first, of_second)]
-    shared = [
-        key
-        for key in of_first
-        if key in of_second and [len(of_first[key]), len(of_second[key])] == complete
-    ]
+    shared = [key for key in of_first if key in of_second and [len(of_first[key]), len(of_second[key])] == complete]
     if not shared:
         both = "agents" if by == "agent" else by
         raise InputError("paired difference", f"{first} - {second}", f"episodes of both {both} that have {metric}")

@@ -1,11 +1,11 @@
 """Resample tasks and training runs together: the bootstrap behind every interval of a mean or an interquartile mean.
 
     theta* = theta under weights w_t v_r,    w ~ Multinomial(T, 1/T),    v ~ Multinomial(R - 1, 1/R)
-    [q_2.5 - (k - 1) (theta - q_2.5), q_97.5 + (k - 1) (q_97.5 - theta)],    k = t_nu / t_inf,    nu = (R - 1) (V / V_R)^2
+    [theta + k (q_2.5 - theta), theta + k (q_97.5 - theta)],    k = t_nu / t_inf,    nu = (R - 1) (V / V_R)^2
 
 Tasks ``t`` and runs ``r`` of a training are crossed: every run meets every task. An episode counts as often as its task
-and its run were drawn ("pigeonhole bootstrap", Owen, 2007), so the interval is for other tasks and other trainings. With
-one run v = 1 and k = 1: tasks alone are resampled.
+and its run were drawn ("pigeonhole bootstrap", Owen, 2007), so the interval is for other tasks and other trainings.
+With one run v = 1 and k = 1: tasks alone are resampled.
 
 Runs are few. R - 1 draws of R runs make the variance between them unbiased (Rao and Wu, 1988), and the percentile
 interval is stretched by Student's quantile over the normal one, the more the larger the part V_R between runs of the

@@ -67,7 +67,9 @@ def profiles(rows: Sequence[Row], labels: Mapping[str, str], seed: int) -> bytes
         for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
             found = aggregate.profile(members, name, LEVELS, seed)
             axes.step(LEVELS, found.value, where="post", color=of_agent[agent], label=agent)
-            axes.fill_between(LEVELS, found.low, found.high, step="post", color=of_agent[agent], alpha=0.15, linewidth=0)
+            axes.fill_between(
+                LEVELS, found.low, found.high, step="post", color=of_agent[agent], alpha=0.15, linewidth=0
+            )
         axes.set(xlabel=f"{label} (\u03c4)", xlim=(0.0, 1.0), ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)

@@ -110,7 +110,9 @@ def test_where_runs_alone_differ_the_interval_is_that_of_student():
 
 
 @given(
-    st.lists(st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3), min_size=2, max_size=8), st.booleans(), st.booleans()
+    st.lists(st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3), min_size=2, max_size=8),
+    st.booleans(),
+    st.booleans(),
 )
 def test_laws(of_tasks, scaled, shuffled):
     """Intervals lie among the values, move with them, and do not depend on the order of episodes of equal numbering."""
