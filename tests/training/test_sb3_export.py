@@ -32,7 +32,7 @@ LENGTHS = {
     "scan": gym.spaces.Box(0.0, 6.0, (64,), np.float32),
 }
 PARTS = ("scan", "goal", "pose")
-SMALL = {"n_steps": 8, "device": "cpu", "seed": 0}
+SMALL = {"n_steps": 8, "batch_size": 8, "device": "cpu", "seed": 0}
 OFF_POLICY = {"buffer_size": 64, "device": "cpu", "seed": 0}
 
 
@@ -82,8 +82,8 @@ def spread(model):
     return model
 
 
-def ppo(env, policy="MultiInputPolicy", kind=None, **keywords):
-    return spread((kind or sb3.PPO)(policy, env, **(SMALL | keywords)))
+def ppo(env, policy="MultiInputPolicy", **keywords):
+    return spread(sb3.PPO(policy, env, **(SMALL | keywords)))
 
 
 def off_policy(kind, env, policy="MultiInputPolicy"):
@@ -102,7 +102,7 @@ MODELS = {
     "ppo, rewards normalised": lambda: ppo(normalised(named(), norm_obs=False)),
     "ppo, features": lambda: ppo(vectors(), "MlpPolicy"),
     "ppo, features normalised": lambda: ppo(normalised(vectors()), "MlpPolicy"),
-    "a2c": lambda: ppo(named(), kind=sb3.A2C, n_steps=5),
+    "a2c": lambda: spread(sb3.A2C("MultiInputPolicy", named(), device="cpu", seed=0)),
     "sac": lambda: off_policy(sb3.SAC, named()),
     "sac, features": lambda: off_policy(sb3.SAC, vectors(), "MlpPolicy"),
     "td3, normalised": lambda: off_policy(sb3.TD3, normalised(named(UNIT))),
@@ -203,6 +203,7 @@ def test_other_policies_features_and_files_are_refused(tmp_path):
     assert loaded.read_bytes() == export_sb3(model, tmp_path / "b.npz", name="mine").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_observations_are_those_of_the_environments():
     """WorldModelNav, and PointNav in its wrappers, observe what a file can express, and take its commands."""
     from vssm_gym.training.sb3.export import _driving, _parts

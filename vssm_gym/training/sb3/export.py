@@ -66,7 +66,7 @@ def export_sb3(
         raise InputError(SOURCE, "env", "the environment of the training: a loaded model has none of its own")
     stack, norm, bottom = _unwrapped(trained_in)
     parts = _parts(bottom)
-    frames = 1 if stack is None else stack.n_stack
+    frames = 1 if stack is None else stack.observation_space.shape[0] // bottom.observation_space.shape[0]
     network, activation, squash = _network(policy)
     layers = _driving(network, model.action_space, squash)
     inputs = frames * size_of(parts)
