@@ -14,7 +14,7 @@ imagination and on the robot. The pose is the estimated one. Waves let a small n
 alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -49,10 +49,12 @@ def features(observation: Mapping[str, np.ndarray], parts: Sequence[str]) -> Flo
             ``parts`` are read, and with the pose also the goal.
         parts: some of SIZES, in any order.
     """
-    makers: dict[str, Callable[[Mapping[str, np.ndarray]], np.ndarray]]
     makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std, "commands": _commands}
-    makers |= {f"{OBSERVED}{name}": lambda seen, name=name: seen[name] for name in ("goal", "pose", "pose_std", "scan")}
-    made = [makers[part](observation) for part in SIZES if part in parts]
+    made = [
+        makers[part](observation) if part in makers else observation[part.removeprefix(OBSERVED)]
+        for part in SIZES
+        if part in parts
+    ]
     return np.concatenate(made, axis=-1).astype(np.float32)
 
 

@@ -27,16 +27,16 @@ def by_method(rows: Iterable[Row]) -> list[dict[str, Any]]:
 
     The label of the policy is kept as :data:`RUN`. All other rows are unchanged.
     """
-    rows = [dict(row) for row in rows]
+    found = [dict(row) for row in rows]
     labels: dict[str, dict[str, None]] = {}
-    for row in rows:
+    for row in found:
         if (name := training_name(str(row["agent"]))) is not None:
             labels.setdefault(name, {})[row["agent"]] = None
-    for row in rows:
+    for row in found:
         name = training_name(str(row["agent"]))
         if name is not None and (runs := len(labels[name])) > 1:
             row[RUN], row["agent"] = row["agent"], f"{name} ({runs} seeds)"
-    return rows
+    return found
 
 
 def run_of(row: Row) -> str:

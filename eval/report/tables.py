@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -47,20 +47,23 @@ class Measures:
         proportion = self.metrics[check_name(name)].proportion
         return self.text(name, proportions.percent(rows, name) if proportion else aggregate.mean(rows, name, seed))
 
-    def columns(self, names: Sequence[str]) -> "dict[str, Callable[[Sequence[Row], int], str]]":
+    def columns(self, names: Sequence[str]) -> dict[str, Callable[[Sequence[Row], int], str]]:
         """Return the heading of each column, and what formats its cells from rows and a seed.
 
         A score has two columns, its mean and its interquartile mean (IQM).
         """
         found: dict[str, Callable[[Sequence[Row], int], str]] = {}
         for name in names:
-            found[self.label(name)] = lambda rows, seed, name=name: self.mean(rows, name, seed)
+            found[self.label(name)] = partial(self._cell, name)
             if self.metrics[name].score:
-                middle = aggregate.interquartile_mean
-                found[f"{self.label(name)} IQM"] = lambda rows, seed, name=name: self.text(
-                    name, middle(rows, name, seed)
-                )
+                found[f"{self.label(name)} IQM"] = partial(self._middle, name)
         return found
+
+    def _cell(self, name: str, rows: Sequence[Row], seed: int) -> str:
+        return self.mean(rows, name, seed)
+
+    def _middle(self, name: str, rows: Sequence[Row], seed: int) -> str:
+        return self.text(name, aggregate.interquartile_mean(rows, name, seed))
 
     def scores(self, rows: Sequence[Row]) -> dict[str, str]:
         """Return the labels of the scores for which a row has a value, by name."""

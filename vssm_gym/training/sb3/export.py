@@ -16,6 +16,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import stable_baselines3
+from gymnasium.spaces.utils import flatdim
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
@@ -66,7 +67,7 @@ def export_sb3(
         raise InputError(SOURCE, "env", "the environment of the training: a loaded model has none of its own")
     stack, norm, bottom = _unwrapped(trained_in)
     parts = _parts(bottom)
-    frames = 1 if stack is None else stack.observation_space.shape[0] // bottom.observation_space.shape[0]
+    frames = 1 if stack is None else flatdim(stack.observation_space) // flatdim(bottom.observation_space)
     network, activation, squash = _network(policy)
     layers = _driving(network, model.action_space, squash)
     inputs = frames * size_of(parts)
@@ -74,7 +75,7 @@ def export_sb3(
         found = f"found a first layer of {layers[0][0].shape[1]}"
         raise InputError(SOURCE, "policy", f"{inputs} inputs, {', '.join(parts)}; {found}")
     seen = bottom.observation_space
-    scan = seen["scan"].high.max() if isinstance(seen, gym.spaces.Dict) and "scan" in seen.spaces else BODY.max_depth
+    scan = seen.spaces.get("scan") if isinstance(seen, gym.spaces.Dict) else None
     spec = PolicySpec(
         name=name,
         parts=parts,
@@ -84,7 +85,7 @@ def export_sb3(
         squash=squash,
         low=tuple(BODY.low.tolist()),
         high=tuple(BODY.high.tolist()),
-        max_depth=float(scan),
+        max_depth=float(scan.high.max()) if isinstance(scan, gym.spaces.Box) else BODY.max_depth,
         hfov=hfov,
         success_radius=BODY.success_radius,
         trained={
