@@ -6,6 +6,7 @@
                waves(p) = [sin, cos](2 pi p / L) for L = 32, 16, 8, 4, 2 m, along x and along y
     pose_std 3: of the estimate's error, forward and to the left in decimetres, turn in tenths of a radian
     commands 12: the last four, newest first: turn / 0.2 rad, direction / 0.1 rad, step / 0.2 m; zeros before the first
+    observed_goal 3, observed_pose 3, observed_pose_std 3, observed_scan 64: the observation itself, as it comes
 
 Without the commands a policy cannot tell what a drive that lags has yet to do. The vector is the same in training, in
 imagination and on the robot. The pose is the estimated one. Waves let a small network distinguish places finely
@@ -27,7 +28,10 @@ APARTMENT_SIZE = 10.0  # m, of the order of an apartment
 WAVES = np.array([32.0, 16.0, 8.0, 4.0, 2.0])  # m, from the size of a house to that of a passage
 LAST_COMMANDS = 4  # steps of 0.2 s: a drive with a lag of 0.4 s has carried out 0.92 of the command before them
 COMMAND_UNITS = np.array([0.2, 0.1, 0.2])  # rad, rad, m: of the order of the holonomic robot's limits
-SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3, "commands": 3 * LAST_COMMANDS}
+OBSERVED = "observed_"  # of names of parts that are numbers of the observation, neither scaled nor converted
+SIZES = {"scan": BEAMS, "goal": 4, "pose": 4 + 2 * 4 * len(WAVES), "pose_std": 3, "commands": 3 * LAST_COMMANDS} | {
+    f"{OBSERVED}{name}": size for name, size in (("goal", 3), ("pose", 3), ("pose_std", 3), ("scan", BEAMS))
+}
 """Length of each part of the vector, in the order of the vector."""
 
 
@@ -48,7 +52,11 @@ def features(observation: Mapping[str, Any], parts: Sequence[str], xp: Any = np)
         xp: the module of the arrays, ``numpy`` or ``jax.numpy``.
     """
     makers = {"scan": _scan, "goal": _goal, "pose": _pose, "pose_std": _pose_std, "commands": _commands}
-    made = [makers[part](observation, xp) for part in SIZES if part in parts]
+    made = [
+        makers[part](observation, xp) if part in makers else observation[part.removeprefix(OBSERVED)]
+        for part in SIZES
+        if part in parts
+    ]
     return xp.concatenate(made, axis=-1).astype(np.float32)
 
 
