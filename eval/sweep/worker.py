@@ -89,15 +89,20 @@ def initialise(started: "Event | None" = None, own: "Sequence[type[Agent]]" = ()
     if started is not None:
         started.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", SceneWarning)  # the notices of the manifest say it once
+    prepare(own)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def prepare(own: "Sequence[type[Agent]]") -> None:
+    """Silence the notices of scenes, which the manifest has, and register the own agents."""
+    warnings.simplefilter("ignore", SceneWarning)
     if own:
         from vssm_gym.agents.registry import register_agent
 
         for kind in own:
             register_agent(kind)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
 
 
 def _leave_with(sentinel: int) -> None:
