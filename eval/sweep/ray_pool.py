@@ -81,9 +81,7 @@ class RayPool:
             return self._calls.share(path)
 
 
-def run_there(
-    job: worker.Job, luggage: Luggage, own: "tuple[type[Agent], ...]"
-) -> tuple[dict[str, Any], bytes | None]:
+def run_there(job: worker.Job, luggage: Luggage, own: "tuple[type[Agent], ...]") -> tuple[dict[str, Any], bytes | None]:
     """Run a job on a machine of the cluster; return its row, and the map of an explorer.
 
     Raises:
@@ -99,9 +97,7 @@ def run_there(
     with tempfile.TemporaryDirectory(dir=task_file.parent) as folder:
         explored = Path(folder, job.explored_file.name) if job.explored_file else None
         map_file = luggage.map_file.path() if luggage.map_file else None
-        row = worker.run(
-            replace(job, episode=episode, task_file=task_file, map_file=map_file, explored_file=explored)
-        )
+        row = worker.run(replace(job, episode=episode, task_file=task_file, map_file=map_file, explored_file=explored))
         return row, explored.read_bytes() if explored is not None and explored.is_file() else None
 
 

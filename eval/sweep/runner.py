@@ -78,7 +78,8 @@ def run_sweep(
 
     Raises:
         InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died;
-            no such cluster, or one of other versions; a program that workers cannot import; an agent that returns no decision.
+            no such cluster, or one of other versions; a program that workers cannot import; an agent that returns no
+            decision.
         OutputError: a full disk or the like; the episodes before are kept.
         RuntimeError: an error inside an agent, whose traceback precedes it; the message names scene and task.
     """
