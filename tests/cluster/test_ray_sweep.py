@@ -79,7 +79,7 @@ def wait_for_rows(out, n, process=None):
         "scenes: rooms.json\nagents: [oracle, policy:reactive]\ntasks: 2\nvoxel: 0.1\n",
         "env: vssm_gym/Explore-v0\nscenes: [rooms.json, procedural:3:small]\nagents: frontier_nearest\ntasks: 1\n"
         "seeds: [0, 1]\nexplore: {steps: 25}\n",
-        "env: vssm_gym/LidarMaze-v0\nscenes: serpentine-v1\nagents: dist_bug\nrobot: disc\ntasks: 2\n",
+        "env: vssm_gym/LidarMaze-v0\nscenes: serpentine-v1\nagents: dist_bug\nrobot: disc\nphysics: none\ntasks: 2\n",
     ],
     ids=["map", "explore", "maze"],
 )

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from vssm_gym.errors import InputError
-from vssm_gym.version import package_version
+from vssm_gym.version import __version__
 
 ALSO = ("pybullet", "stable-baselines3", "torch")  # optional libraries that results depend on
 CODE = "code of vssm_gym"
@@ -24,11 +24,11 @@ def installed() -> dict[str, str]:
         declared = []
     names = [re.split(r"[^A-Za-z0-9_.-]", text)[0] for text in declared if "extra ==" not in text]
     libraries = {name: _version(name) for name in (*names, *ALSO)}
-    return {"vssm_gym": package_version(), CODE: code_digest(), "Python": platform.python_version()} | libraries
+    return {"vssm_gym": __version__, CODE: code_digest(), "Python": platform.python_version()} | libraries
 
 
 def code_digest() -> str:
-    """Return 16 hex digits of a hash of all modules of the package: two versions with changes may have one name."""
+    """Return 16 hex digits of a hash of all modules of the package: a version's name says nothing of later changes."""
     package = Path(__file__).resolve().parents[1]
     found = hashlib.sha256()
     for folder in (package, package / "agents", package / "eval"):  # the last two may be links

@@ -186,7 +186,7 @@ class Calls:
         except TaskCancelledError:
             raise KeyboardInterrupt from None
         except RayTaskError as error:
-            raise error.cause from RuntimeError(error.traceback_str)
+            raise error.cause from RuntimeError(str(error))  # which has the traceback of the machine
         except RayError as error:
             raise CallLost(" ".join(str(error).split())) from error
         finally:
