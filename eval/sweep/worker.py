@@ -60,6 +60,12 @@ class Job:
     explored_file: Path | None = None  # for the final map of an explorer
 
 
+def one_thread() -> dict[str, str]:
+    """Return the variables of a process with one thread; its flags for XLA begin with those of this process."""
+    flags = [os.environ.get("XLA_FLAGS"), ONE_THREAD["XLA_FLAGS"]]
+    return ONE_THREAD | {"XLA_FLAGS": " ".join(filter(None, flags))}
+
+
 @contextlib.contextmanager
 def single_threaded_children() -> Iterator[None]:
     """Start processes in this context with numerical libraries limited to one thread; this process is unchanged.
@@ -67,8 +73,7 @@ def single_threaded_children() -> Iterator[None]:
     Libraries read these environment variables when they are loaded, before a pool's initializer could run.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
-    flags = " ".join(filter(None, [before["XLA_FLAGS"], ONE_THREAD["XLA_FLAGS"]]))
-    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    os.environ.update(one_thread())
     try:
         yield
     finally:

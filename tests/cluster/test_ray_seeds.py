@@ -14,7 +14,7 @@ import pytest
 
 from tests.helpers.paths import CHECKOUT
 from vssm_gym.errors import InputError
-from vssm_gym.eval.sweep.worker import ONE_THREAD
+from vssm_gym.eval.sweep.worker import one_thread
 from vssm_gym.training import cluster_seeds
 from vssm_gym.training.config import load_training
 from vssm_gym.training.run import read_progress
@@ -28,8 +28,8 @@ pytestmark = pytest.mark.slow
 SEEDS = (0, 3)
 STEPS = 1024  # of all robots: some seconds, far less than the time to a first checkpoint
 TRAINING = (
-    "name: tiny\nenvironment: {id: vssm_gym/WorldModelNav-v0, map: oak, num_envs: 16, max_episode_steps: 30, goals: 4,\n"
-    "  pool: 64}\npolicy: {inputs: [scan, goal], hidden: [8]}\n"
+    "name: tiny\nenvironment: {id: vssm_gym/WorldModelNav-v0, map: oak, num_envs: 16, max_episode_steps: 30,\n"
+    "  goals: 4, pool: 64}\npolicy: {inputs: [scan, goal], hidden: [8]}\n"
     f"algorithm: {{name: ppo, n_steps: 16, batch_size: 64, n_epochs: 1}}\nsteps: {STEPS}\n"
 )
 
@@ -52,7 +52,7 @@ def alone(folder):
     """Train the seeds by the command, one after the other, with one thread."""
     code = "import sys; from vssm_gym.cli.main import main; sys.exit(main())"
     words = ["train", folder / "train.yaml", "--out", folder / "alone", "--seeds", ",".join(map(str, SEEDS))]
-    environment = os.environ | ONE_THREAD | {"PYTHONPATH": str(CHECKOUT)}
+    environment = os.environ | one_thread() | {"PYTHONPATH": str(CHECKOUT)}
     subprocess.run([sys.executable, "-c", code, *map(str, words)], check=True, env=environment, capture_output=True)
     return [weights(folder / "alone" / f"seed-{seed}" / "policy.npz") for seed in SEEDS]
 
@@ -102,7 +102,7 @@ def test_a_killed_worker_is_replaced(folder, nodes, alone):
                         killed.add(pid)
             time.sleep(0.2)
 
-    killer = threading.Thread(target=kill)
+    killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     policies = cluster_seeds.train_on_cluster(load_training(folder / "train.yaml"), SEEDS, out, nodes.address)
     killer.join()

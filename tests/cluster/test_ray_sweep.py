@@ -109,7 +109,7 @@ def test_a_killed_worker_loses_nothing(folder, nodes, alone, tmp_path):
                     killed.add(pid)
             time.sleep(3.0)
 
-    killer = threading.Thread(target=kill)
+    killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     rows = untimed(run_sweep(load_config(folder / "long.yaml"), tmp_path, ray=nodes.address))
     killer.join()
@@ -172,7 +172,7 @@ def test_nodes_with_other_versions_are_refused(folder, nodes, tmp_path, monkeypa
 def test_a_killed_node_loses_nothing(folder, alone, tmp_path):
     """The other node runs the rest; the driver is on the one that lives."""
     with two_nodes() as nodes:
-        killer = threading.Thread(target=lambda: (wait_for_rows(tmp_path, 6), nodes.kill(1)))
+        killer = threading.Thread(target=lambda: (wait_for_rows(tmp_path, 6), nodes.kill(1)), daemon=True)
         killer.start()
         rows = untimed(run_sweep(load_config(folder / "long.yaml"), tmp_path, ray=nodes.address))
         killer.join()

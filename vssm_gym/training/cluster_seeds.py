@@ -11,7 +11,7 @@ from pathlib import Path
 
 from vssm_gym.cluster.ray_cluster import Calls, Cluster, connected
 from vssm_gym.errors import InputError
-from vssm_gym.eval.sweep.worker import ONE_THREAD
+from vssm_gym.eval.sweep.worker import one_thread
 from vssm_gym.files.output_folders import RESUME, check_folder
 from vssm_gym.training.config import TrainingConfig
 from vssm_gym.training.run import read_progress
@@ -74,7 +74,7 @@ def train_on_cluster(
             if made:
                 out.rmdir()
             raise
-        calls = Calls(cluster, len(seeds), ONE_THREAD)
+        calls = Calls(cluster, len(seeds), one_thread())
         each = [config.model_copy(update={"seed": seed}) for seed in seeds]
         folders = [seed_folder(out.resolve(), seed) for seed in seeds]
         futures = [calls.submit(_train, one, folder) for one, folder in zip(each, folders, strict=True)]
