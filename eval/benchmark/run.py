@@ -28,7 +28,8 @@ from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTra
 from vssm_gym.eval.benchmark.units import run_units
 from vssm_gym.eval.studies.calibration.rows import MAP_VOXEL
 from vssm_gym.eval.sweep.config import check_names
-from vssm_gym.eval.sweep.runner import WorkerDiedError, leave_unguarded_import, run_sweep
+from vssm_gym.eval.sweep.pools import WorkerDiedError
+from vssm_gym.eval.sweep.runner import leave_unguarded_import, run_sweep
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, owned_folder
 from vssm_gym.files.shipped import MAPS, shipped

@@ -63,6 +63,12 @@ class Job:
     agent_seconds: float | None = None  # of processor time that the agent may use; its errors are then failures
 
 
+def one_thread() -> dict[str, str]:
+    """Return the variables of a process with one thread; its flags for XLA begin with those of this process."""
+    flags = [os.environ.get("XLA_FLAGS"), ONE_THREAD["XLA_FLAGS"]]
+    return ONE_THREAD | {"XLA_FLAGS": " ".join(filter(None, flags))}
+
+
 @contextlib.contextmanager
 def single_threaded_children() -> Iterator[None]:
     """Start processes in this context with numerical libraries limited to one thread; this process is unchanged.
@@ -70,8 +76,7 @@ def single_threaded_children() -> Iterator[None]:
     Libraries read these environment variables when they are loaded, before a pool's initializer could run.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
-    flags = " ".join(filter(None, [before["XLA_FLAGS"], ONE_THREAD["XLA_FLAGS"]]))
-    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    os.environ.update(one_thread())
     try:
         yield
     finally:
@@ -92,15 +97,20 @@ def initialise(started: "Event | None" = None, own: "Sequence[type[Agent]]" = ()
     if started is not None:
         started.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", SceneWarning)  # the notices of the manifest say it once
+    prepare(own)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def prepare(own: "Sequence[type[Agent]]") -> None:
+    """Silence the notices of scenes, which the manifest has, and register the own agents."""
+    warnings.simplefilter("ignore", SceneWarning)
     if own:
         from vssm_gym.agents.registry import register_agent
 
         for kind in own:
             register_agent(kind)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
 
 
 def _leave_with(sentinel: int) -> None:

@@ -18,13 +18,14 @@ from vssm_gym.eval.benchmark.suite import SUITES, read_suite
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import runner, worker
+from vssm_gym.eval.sweep.pools import WorkerDiedError
 
 
 @pytest.fixture
 def in_process(tmp_path, monkeypatch):
     """Run episodes in this process, and forget what strangers registered."""
 
-    def run(jobs, log, workers, total, on_progress, own):
+    def run(jobs, log, *rest):
         for job in jobs:
             log.append(worker.run(job))
 
@@ -86,7 +87,7 @@ def test_episodes_that_a_dead_process_lost_are_failures(in_process, monkeypatch)
 
     def die(jobs, log, *rest):
         log.append(worker.run(jobs[0]))
-        raise runner.WorkerDiedError("sweep", "workers", "worker processes that live to the end; one was killed")
+        raise WorkerDiedError("sweep", "workers", "worker processes that live to the end; one was killed")
 
     monkeypatch.setattr(runner, "_run", die)
     page = run_benchmark(suite, ["random"], out)
