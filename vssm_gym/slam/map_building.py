@@ -14,6 +14,7 @@ import numpy as np
 from vssm_gym.data.recording import read_provenance, record
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.envs.rendering.raycast import RaycastCamera
+from vssm_gym.envs.scenes.generator import recorded_spec
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.solids import SolidBox, signed_distance
 from vssm_gym.envs.scenes.specs import scene_name
@@ -183,8 +184,10 @@ def ensure_map(
 ) -> Path:
     """Return the learned map of a scene, ``folder/maps/NAME.npz``; build it from ``folder/recordings/NAME`` if needed.
 
-    Map and recording are kept. They are used again if scene, seed, noise and tracer of the drive, cell size and kind of
-    poses are the same, else refused: results in the folder are of these maps.
+    Where obstacles were moved after the recording, it was made in the scene before
+    (:func:`~vssm_gym.envs.scenes.generator.recorded_spec`). Map and recording are kept. They are used again if scene,
+    seed, noise and tracer of the drive, cell size and kind of poses are the same, else refused: results in the folder
+    are of these maps.
 
     Args:
         scene: built-in name or path of a scene file.
@@ -198,15 +201,15 @@ def ensure_map(
     Raises:
         InputError: a scene that cannot be used, or a map or recording of another origin at its place.
     """
-    apartment = load_scene(scene)
-    name = scene_name(scene)
+    name, before = scene_name(scene), recorded_spec(scene)
+    apartment = load_scene(before)
     origin: dict[str, str | int] = {
         "scene_hash": apartment.content_hash(),
         "seed": seed,
         "noise": NOISE,
         "renderer": RaycastCamera.name,
     }
-    map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / name
+    map_file, recording = folder / "maps" / f"{name}.npz", folder / "recordings" / scene_name(before)
     if map_file.exists():
         found = {"surfaces": "learned"} | read_metadata(map_file)
         _check_origin(map_file, "map", found, origin | {"voxel": voxel, "poses": poses, "surfaces": surfaces})
@@ -217,7 +220,7 @@ def ensure_map(
         _check_origin(recording, "recording", read_provenance(recording), origin)
     else:
         recording.parent.mkdir(parents=True, exist_ok=True)
-        record(scene, recording, noise=NOISE, seed=seed, on_progress=on_progress)
+        record(before, recording, noise=NOISE, seed=seed, on_progress=on_progress)
     voxel_map = build_map(load_sequence(recording), voxel, on_progress, poses=poses)
     if surfaces == "exact":
         voxel_map = with_exact_surfaces(voxel_map, apartment.boxes())

@@ -33,8 +33,8 @@ def test_frozen_tasks_are_of_the_frozen_scenes():
         assert tasks.scene_hash == (frozen.train | frozen.test)[tasks.scene]
 
 
-@given(st.integers(0, 100_000), st.sampled_from(["", ":small", ":medium", ":large"]))
-def test_a_seed_has_one_split_in_every_size(seed, size):
+@given(st.integers(0, 100_000), st.sampled_from(["", ":small", ":medium", ":large", ":parking", ":parking-moved"]))
+def test_a_seed_has_one_split_in_every_form(seed, size):
     assert split_of(f"procedural:{seed}{size}") == ("train" if seed < 10_000 else "test")
 
 

@@ -1,7 +1,8 @@
 """Sample and check tasks of the car: a start and a target, a point or a pose, that it can reach from there.
 
 Starts and targets are uniform among the poses whose footprint keeps GOAL_MARGIN from everything, in one connected part
-of what the car can reach (:mod:`vssm_gym.envs.tasks.car_space`), and more than TARGET_APART from each other.
+of what the car can reach (:mod:`vssm_gym.envs.tasks.car_space`), and more than TARGET_APART from each other. In a scene
+with marked bays every target is the middle of one of them, either way.
 """
 
 import copy
@@ -13,9 +14,11 @@ from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field
 
 from vssm_gym.envs.scenes.free_space import FreeSpace
+from vssm_gym.envs.scenes.generator.parking import BAY
 from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.tasks.car_space import CarSpace
 from vssm_gym.envs.tasks.goal_progress import GoalDistance
@@ -109,7 +112,7 @@ class CarTaskSampler:
         """
         if part is None:
             part = max(0, self.space.part(start))
-        goal = self._first(rng, part, np.asarray(start[:2]))
+        goal = self._first(rng, part, np.asarray(start[:2]), bays=True)
         goal = goal if targets == "poses" else goal[:2]
         return self._task(task_id, start, goal.tolist())
 
@@ -135,10 +138,28 @@ class CarTaskSampler:
             expected = f"a target that the car can reach from {_written(task.start)}; found {_written(task.goal)}"
             raise InputError(source, "goal", expected)
 
-    def _first(self, rng: np.random.Generator, part: int, away_from: np.ndarray | None) -> np.ndarray:
-        """Return the first pose of ``rng`` in a connected part, more than TARGET_APART from a point."""
+    @cached_property
+    def bays(self) -> Float[np.ndarray, "n 3"]:
+        """Return the poses in which the car stands in the middle of a marked bay, two for each."""
+        marks = [piece.boxes[0] for piece in self.apartment.furniture if piece.category == BAY]
+        poses = []
+        for mark in marks:
+            along = mark.yaw + (0.0 if mark.size[0] > mark.size[1] else 0.5 * math.pi)
+            for heading in (along, along - math.pi):
+                x = mark.center[0] - self.car.center_forward * math.cos(heading)
+                y = mark.center[1] - self.car.center_forward * math.sin(heading)
+                poses.append((x, y, float(wrap_angle(np.float64(heading)))))
+        return np.array(poses).reshape(-1, 3).round(4)
+
+    def _first(
+        self, rng: np.random.Generator, part: int, away_from: np.ndarray | None, bays: bool = False
+    ) -> np.ndarray:
+        """Return the first pose of ``rng`` in a connected part, more than TARGET_APART from a point.
+
+        With ``bays`` it is in one of the scene's bays, if there are any.
+        """
         for _ in range(_ROUNDS):
-            for pose in self.space.sample(rng, _POSES_AT_ONCE, GOAL_MARGIN).round(4):
+            for pose in self._drawn(rng, bays):
                 if away_from is not None and math.hypot(*(pose[:2] - away_from)) <= TARGET_APART:
                     continue
                 if self.space.part(pose) != part:
@@ -148,6 +169,11 @@ class CarTaskSampler:
                     return pose
         expected = f"room for a car to drive {TARGET_APART} m; no target found that it can reach"
         raise InputError(self.apartment.name, "rooms", expected)
+
+    def _drawn(self, rng: np.random.Generator, bays: bool) -> Float[np.ndarray, "n 3"]:
+        if bays and len(self.bays):
+            return rng.permutation(self.bays)
+        return self.space.sample(rng, _POSES_AT_ONCE, GOAL_MARGIN).round(4)
 
     def _task(self, task_id: int, start: Sequence[float] | np.ndarray, goal: Sequence[float]) -> CarTask:
         data = {"id": task_id, "scene": self.apartment.name, "start": [float(v) for v in start], "goal": list(goal)}

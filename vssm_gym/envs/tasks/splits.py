@@ -22,7 +22,7 @@ from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.json_file import read_json
 
 FROZEN = ASSETS / "splits" / "scenes.json"
-_PROCEDURAL = re.compile(r"procedural:(\d{1,18})(?::[a-z]+)?")
+_PROCEDURAL = re.compile(r"procedural:(\d{1,18})(?::[a-z-]+)?")
 
 
 class Seeds(StrictModel):
