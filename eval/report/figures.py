@@ -13,7 +13,7 @@ from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.viz import pictures
 
-LEVELS = np.linspace(0.0, 1.0, 101)  # of a score, at which its profile is drawn
+SCORE_LEVELS = np.linspace(0.0, 1.0, 101)  # of a score, at which its profile is drawn
 KEY_CHARACTERS = 150  # of a legend's line across a figure
 GROUPS = ("scene", "noise", "physics", "agent")  # runs are chosen from each of these in turn
 # The palette of Okabe and Ito (2008), which colour-blind readers can distinguish.
@@ -65,10 +65,10 @@ def profiles(rows: Sequence[Row], labels: Mapping[str, str], seed: int) -> bytes
     of_agent = colours(rows)
     for axes, (name, label) in zip(panels, labels.items(), strict=True):
         for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
-            found = aggregate.profile(members, name, LEVELS, seed)
-            axes.step(LEVELS, found.value, where="post", color=of_agent[agent], label=agent)
+            found = aggregate.profile(members, name, SCORE_LEVELS, seed)
+            axes.step(SCORE_LEVELS, found.value, where="post", color=of_agent[agent], label=agent)
             axes.fill_between(
-                LEVELS, found.low, found.high, step="post", color=of_agent[agent], alpha=0.15, linewidth=0
+                SCORE_LEVELS, found.low, found.high, step="post", color=of_agent[agent], alpha=0.15, linewidth=0
             )
         axes.set(xlabel=f"{label} (\u03c4)", xlim=(0.0, 1.0), ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3, linewidth=0.5)
