@@ -27,8 +27,8 @@ from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_rec
 from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTrack, Suite, check_frozen, read_suite
 from vssm_gym.eval.benchmark.units import run_units
 from vssm_gym.eval.studies.calibration.rows import MAP_VOXEL
+from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import check_names
-from vssm_gym.eval.sweep.pools import WorkerDiedError
 from vssm_gym.eval.sweep.runner import leave_unguarded_import, run_sweep
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import Owner, check_at_least, check_folder, owned_folder
@@ -165,7 +165,7 @@ def _drive(
             agent_seconds=track.seconds,
             on_progress=on_progress,
         )
-    except WorkerDiedError as error:
+    except worker.WorkerDiedError as error:
         return [f"{name}: {error}"]
     return []
 

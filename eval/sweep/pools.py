@@ -16,10 +16,6 @@ if TYPE_CHECKING:
 WORKERS = 2  # processes on this machine, unless another number is asked for
 
 
-class WorkerDiedError(InputError):
-    """Report a worker process that has ended before its episode did."""
-
-
 @runtime_checkable
 class Pool(Protocol):
     """Run jobs in worker processes, each with one thread, and return their rows as futures."""
@@ -78,7 +74,7 @@ class LocalPool:
             expected = f"worker processes that can import this program: start the sweep below {GUARD}"
             return InputError("sweep", "workers", expected)
         expected = "worker processes that live to the end; one was killed, possibly for lack of memory"
-        return WorkerDiedError("sweep", "workers", f"{expected}; {kept}")
+        return worker.WorkerDiedError("sweep", "workers", f"{expected}; {kept}")
 
 
 @contextlib.contextmanager

@@ -19,7 +19,6 @@ from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep import worker
-from vssm_gym.eval.sweep.pools import WorkerDiedError
 from vssm_gym.files.atomic import atomic_write
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ class RayPool:
     def lost(self, kept: str) -> InputError:
         """Return the error for an episode that was lost too often."""
         expected = "a cluster whose processes live; an episode lost its process again and again, possibly for lack of"
-        return WorkerDiedError("sweep", "--ray", f"{expected} memory; {kept}")
+        return worker.WorkerDiedError("sweep", "--ray", f"{expected} memory; {kept}")
 
     def _scene_file(self, env: str, scene: str) -> SharedFile | None:
         """Return the canonical JSON of a scene from a file; None where every machine has it."""

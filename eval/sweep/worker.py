@@ -48,6 +48,10 @@ ONE_THREAD = {
 _compiled: set[str] = set()  # agents that this process has run
 
 
+class WorkerDiedError(InputError):
+    """Report a worker process that has ended before its episode did."""
+
+
 @dataclass(frozen=True)
 class Job:
     """Hold one episode to run, the files of its map and tasks, and the fields that sign its row."""

@@ -21,7 +21,7 @@ from vssm_gym.training.run import read_progress
 
 for library in ("ray", "torch", "stable_baselines3"):
     pytest.importorskip(library)
-from tests.helpers.ray_nodes import two_nodes  # noqa: E402
+from tests.helpers.sweeps.ray_nodes import two_nodes  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -19,7 +19,7 @@ from vssm_gym.eval.sweep.config import load_config
 from vssm_gym.eval.sweep.runner import run_sweep
 
 pytest.importorskip("ray")
-from tests.helpers.ray_nodes import Nodes, two_nodes
+from tests.helpers.sweeps.ray_nodes import Nodes, two_nodes
 
 pytestmark = pytest.mark.slow
 

@@ -17,14 +17,14 @@ from vssm_gym.envs.carnav import CarNavEnv
 from vssm_gym.envs.scenes.generator import generate, recorded_spec
 from vssm_gym.envs.scenes.generator.parking import (
     BAY,
+    BAY_CLEARANCES,
     BEFORE,
-    BESIDE,
-    CLEARANCES,
+    BESIDE_BAY,
     DEPTH,
-    GAP,
-    MOVED,
     MOVED_BY,
+    MOVED_OBSTACLES,
     ROOMY,
+    YARD_GAP,
     ground,
 )
 from vssm_gym.envs.scenes.scene import Apartment, load_scene
@@ -85,7 +85,7 @@ def test_bays_are_as_wide_as_stated(seed):
             assert shape.intersection(things).area < 1e-6 and box.center[2] + 0.5 * box.size[2] < 0.01
             between_kerbs = box.size[1] == DEPTH
             clear = (box.size[0] - CAR.width if between_kerbs else box.size[1] - CAR.length) / 2
-            assert min(abs(clear - stated) for stated in (CLEARANCES if between_kerbs else (ROOMY,))) < 1e-6
+            assert min(abs(clear - stated) for stated in (BAY_CLEARANCES if between_kerbs else (ROOMY,))) < 1e-6
             # the room that a car in the middle has to either side, measured on the solid pieces
             x, y = box.center[:2]
             half = (0.5 * CAR.width, 0.5 * CAR.length)
@@ -100,14 +100,14 @@ def test_obstacles_were_moved_in_front_of_bays_and_nothing_else_differs(seed):
     assert before.walls == after.walls and before.rooms == after.rooms
     pairs = list(zip(before.furniture, after.furniture, strict=True))
     moved = [(one, other) for one, other in pairs if one != other]
-    assert len(moved) == MOVED
+    assert len(moved) == MOVED_OBSTACLES
     bays = [p.boxes[0].center for p in after.furniture if p.category == BAY and p.boxes[0].size[1] == DEPTH]
     for one, other in moved:
         assert (one.name, one.category, one.boxes[0].size) == (other.name, other.category, other.boxes[0].size)
         at = other.boxes[0].center
         assert math.dist(one.boxes[0].center, at) >= MOVED_BY
         near = [
-            abs(at[0] - x) <= BESIDE + 0.006 and BEFORE[0] - 0.006 <= abs(at[1] - y) <= BEFORE[1] + 0.006
+            abs(at[0] - x) <= BESIDE_BAY + 0.006 and BEFORE[0] - 0.006 <= abs(at[1] - y) <= BEFORE[1] + 0.006
             for x, y, _ in bays
         ]
         assert any(near)
@@ -116,7 +116,7 @@ def test_obstacles_were_moved_in_front_of_bays_and_nothing_else_differs(seed):
         for (a, one), (b, other) in itertools.combinations(solid(apartment).items(), 2):
             assert one.intersection(other).area < 1e-9
             if a in yard or b in yard:
-                assert one.distance(other) >= GAP - 1e-6
+                assert one.distance(other) >= YARD_GAP - 1e-6
 
 
 def test_arenas_are_functions_of_their_seed():
@@ -172,7 +172,7 @@ def test_an_oracle_that_knows_the_scene_reaches_every_target_of_the_tier(scene):
 def test_the_oracle_refuses_what_does_not_fit():
     """With 8 cm around the footprint no bay between kerbs is wide enough, and the yard is."""
     apartment = load_scene("procedural:0:parking-moved")
-    wide, exact = oracle(apartment, max(CLEARANCES)), oracle(apartment, 0.01)
+    wide, exact = oracle(apartment, max(BAY_CLEARANCES)), oracle(apartment, 0.01)
     tasks = make_car_tasks(apartment, 6).tasks
     bays = [task for task in tasks if min(task.goal[1], 4.2 - task.goal[1]) < 0.65]
     assert len(bays) >= 2

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.helpers.benchmark_suites import write_agents, write_suite
+from tests.helpers.sweeps.benchmark_suites import write_agents, write_suite
 from vssm_gym.agents import registry
 from vssm_gym.errors import InputError
 from vssm_gym.eval.benchmark.entries import find_entries, find_entry

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from tests.helpers.benchmark_suites import write_agents, write_suite
+from tests.helpers.sweeps.benchmark_suites import write_agents, write_suite
 from vssm_gym.agents import registry
 from vssm_gym.errors import InputError
 from vssm_gym.eval.benchmark import results
@@ -18,7 +18,6 @@ from vssm_gym.eval.benchmark.suite import SUITES, read_suite
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import runner, worker
-from vssm_gym.eval.sweep.pools import WorkerDiedError
 
 
 @pytest.fixture
@@ -87,7 +86,7 @@ def test_episodes_that_a_dead_process_lost_are_failures(in_process, monkeypatch)
 
     def die(jobs, log, *rest):
         log.append(worker.run(jobs[0]))
-        raise WorkerDiedError("sweep", "workers", "worker processes that live to the end; one was killed")
+        raise worker.WorkerDiedError("sweep", "workers", "worker processes that live to the end; one was killed")
 
     monkeypatch.setattr(runner, "_run", die)
     page = run_benchmark(suite, ["random"], out)

@@ -5,8 +5,8 @@ import re
 import pytest
 import yaml
 
-from tests.helpers.benchmark_suites import ROOMS, write_suite
 from tests.helpers.box_rooms import furniture, two_rooms
+from tests.helpers.sweeps.benchmark_suites import ROOMS, write_suite
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
 from vssm_gym.eval.benchmark.suite import NEWEST, SUITES, check_frozen, freeze, read_suite, suite_file

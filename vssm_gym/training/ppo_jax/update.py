@@ -21,7 +21,7 @@ from vssm_gym.training.ppo_jax.network import ActorCritic
 from vssm_gym.training.ppo_jax.rollout import Record
 
 ADAM_EPSILON = 1e-5  # added to the root of the second moment, as is usual for PPO
-SMALLEST_STD = 1e-8  # of the advantages of a batch, added before it divides
+LEAST_DEVIATION = 1e-8  # of the advantages of a batch, added before it divides
 
 
 class Batch(eqx.Module):
@@ -89,7 +89,7 @@ def loss(network: ActorCritic, batch: Batch, settings: PPOSettings) -> tuple[Flo
     share = batch.weight / jnp.maximum(jnp.sum(batch.weight), 1.0)
     mean = lambda values: jnp.sum(share * values)
     centred = batch.advantage - mean(batch.advantage)
-    advantage = centred / (jnp.sqrt(mean(centred**2)) + SMALLEST_STD)
+    advantage = centred / (jnp.sqrt(mean(centred**2)) + LEAST_DEVIATION)
     change = network.log_density(batch.inputs, batch.action) - batch.log_density
     ratio, most = jnp.exp(change), settings.clip_range
     gain = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1.0 - most, 1.0 + most) * advantage)
