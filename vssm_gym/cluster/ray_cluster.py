@@ -123,16 +123,16 @@ class Calls:
         """
         return self._threads.submit(self._run, function, arguments, node, then)
 
-    def share(self, path: Path, name: str | None = None) -> SharedFile:
-        """Put the content of a file into the object store, once; ``name`` is its name elsewhere."""
+    def share(self, path: Path) -> SharedFile:
+        """Put the content of a file into the object store, once."""
         import ray
 
         content = path.read_bytes()
         digest = hashlib.sha256(content).hexdigest()[:16]
-        name = name or path.name
+        key = digest + path.name
         with self._lock:
-            if (found := self._shared.get(digest + name)) is None:
-                found = self._shared[digest + name] = SharedFile(name, digest, self._folder, ray.put(content))
+            if (found := self._shared.get(key)) is None:
+                found = self._shared[key] = SharedFile(path.name, digest, self._folder, ray.put(content))
         return found
 
     def stop(self) -> None:
