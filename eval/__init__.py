@@ -9,7 +9,8 @@ Sub-packages, each of which may import the ones before it:
 - ``report``: the HTML page of a sweep, its tables and figures.
 - ``video``: pictures and videos of single runs.
 - ``bench``, ``studies`` and ``faults``: measurements on one machine, the comparisons of the papers, and runs with
-  faulty images; no other sub-package imports them.
+  faulty images.
+- ``benchmark``: frozen suites for the entries of anyone.
 
 ``configs`` and ``baselines`` hold the committed configurations and the rows of the published sweeps.
 """

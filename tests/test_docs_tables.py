@@ -169,6 +169,7 @@ ANSWERS = {
     "covariance of the belief": "info.belief.covariance",
     "own robot's transition": "class Unicycle(vg.Transition)",
     "own agent": "@vg.register_agent",
+    "enter the benchmark": 'project.entry-points."vssm_gym.slam"',
     "train a policy": "vssm-gym evaluate",
     "episode log": "`failure`",
     "own apartment": "scene import",

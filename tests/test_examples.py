@@ -16,6 +16,7 @@ NOTEBOOK = EXAMPLES / "tour.ipynb"
 # program: arguments, files that it leaves, what it says in the end
 PROGRAMS = {
     "drive": ([], ["drive.gif"], r"success True, SPL 0\.\d\d"),
+    "export_sb3": (["8192"], ["mine.npz", "mine.yaml"], r"within \de-0[6-9](?s:.*)policy:.*mine\.npz"),
     "imagine": ([], ["imagine.png"], r"\d+ episodes, (9\d|100)% of them arrived"),
     "map_and_plan": ([], ["room.npz", "room.png"], r"a path of \d\.\d\d m"),
     "own_agent": ([], ["compared/*/episodes.jsonl"], r"oracle +task 2: success True"),
@@ -37,7 +38,7 @@ def test_every_example_is_run():
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_an_example(name, tmp_path):
     arguments, files, said = PROGRAMS[name]
-    if name == "train_ppo":
+    if name in ("export_sb3", "train_ppo"):
         pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), *arguments]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -68,8 +68,9 @@ ALLOWED["data.datasets"] = BASE | _READ | {"data.sequences"}
 ALLOWED["viz"] = BASE | {"maps", "model.emission"}
 # What is measured of learned transitions is measured by `eval` too: this folder knows nothing of policies
 ALLOWED["training.dynamics"] = ALLOWED["inference"] | {"data.dynamics"}
+ALLOWED["cluster"] = BASE | {"version"}  # Ray, below what runs on it
 for _module in ("eval", "training", "cli"):
-    ALLOWED[_module] |= {"training.dynamics"}
+    ALLOWED[_module] |= {"training.dynamics", "cluster"}
 for _module in ("slam", "eval", "training", "cli"):
     ALLOWED[_module] |= {
         "__init__",
@@ -160,6 +161,7 @@ FOLDERS = {
         ["video"],
         ["studies", "faults"],
         ["bench", ""],
+        ["benchmark"],
     ],
 }
 EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it

@@ -86,12 +86,22 @@ def test_imported_and_declared_dependencies_are_the_same():
     foreign = imported - set(sys.stdlib_module_names) - {"vssm_gym"}
     modules = {MODULE_OF.get(name, name) for name in declared(PROJECT["project"]["dependencies"])}
     # Of agents/sb3.py alone, which nothing here imports; the car's second simulator, HDF5 and the writers of data sets,
-    # where they are asked for; and a peer that `bench envs` measures where it is installed.
-    assert foreign - modules == {"h5py", "minari", "miniworld", "pyarrow", "pybullet", "stable_baselines3", "torch"}
+    # where they are asked for; Ray; and a peer that `bench envs` measures where it is installed.
+    assert foreign - modules == {
+        "h5py",
+        "minari",
+        "miniworld",
+        "pyarrow",
+        "pybullet",
+        "ray",
+        "stable_baselines3",
+        "torch",
+    }
     assert modules <= foreign
     assert {"stable-baselines3", "torch"} == declared(PROJECT["project"]["optional-dependencies"]["rl"])
     assert {"pybullet"} == declared(PROJECT["project"]["optional-dependencies"]["bullet"])
     assert {"h5py"} == declared(PROJECT["project"]["optional-dependencies"]["dynamics"])
+    assert {"ray"} == declared(PROJECT["project"]["optional-dependencies"]["cluster"])
     assert {"minari", "h5py", "pyarrow"} == declared(PROJECT["project"]["optional-dependencies"]["datasets"])
 
 

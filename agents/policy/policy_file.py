@@ -1,6 +1,7 @@
 """Store policies in files: a deterministic policy's network as numbers and JSON, in an ``.npz`` without pickle.
 
-    h_0 = features,   h_i = f(W_i h_i-1 + b_i),   a = squash(W_n h_n-1 + b_n) in [-1, 1]^3,
+    h_0 = features, or clip((features - shift) / scale, -bound, bound),
+    h_i = f(W_i h_i-1 + b_i),   a = squash(W_n h_n-1 + b_n) in [-1, 1]^3,
     command = low + (a + 1) / 2 (high - low) = (turn rad, o rad, s m)
 
 ``f`` is tanh or ReLU; ``squash`` clips (PPO, cloning) or is tanh (SAC). Reading a file executes nothing that it holds,
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from vssm_gym.agents.policy.features import SIZES, size_of
+from vssm_gym.agents.policy.features import OBSERVED, SIZES, size_of
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.bounded import read_bytes
@@ -29,7 +30,9 @@ from vssm_gym.files.npz_file import StoredArrays, open_npz
 from vssm_gym.files.numbers import as_float32
 from vssm_gym.files.shipped import POLICIES, beside, or_shipped, shipped
 
-POLICY_FORMAT, POLICY_VERSION = "vssm_gym.Policy", 1
+POLICY_FORMAT = "vssm_gym.Policy"
+POLICY_VERSION, NORMALISED_VERSION = 1, 2  # of files; the second ones hold a normalisation of the inputs
+NORMALISATION = ("shift", "scale", "bound")  # arrays of such a file
 PREFIX = "policy:"  # of agents' names that are a policy's file
 HASH_DIGITS = 8  # hexadecimal, of a policy's content
 POLICY_BYTES = 256 << 20  # of a file, and of its arrays; the policies trained here have 0.3 MB
@@ -79,15 +82,29 @@ class PolicySpec:
 
 
 @dataclass(frozen=True)
+class Normalisation:
+    """``clip((x - shift) / scale, -bound, bound)`` of the inputs, each float64 ``(inputs,)``."""
+
+    shift: np.ndarray
+    scale: np.ndarray  # above 0
+    bound: np.ndarray
+
+    def __call__(self, vectors: Float[np.ndarray, "*batch inputs"]) -> Float[np.ndarray, "*batch inputs"]:
+        """Return the inputs of the network, float32."""
+        return np.clip((vectors - self.shift) / self.scale, -self.bound, self.bound).astype(np.float32)
+
+
+@dataclass(frozen=True)
 class Policy:
-    """Hold a specification and its layers ``(W_i, b_i)``, float32."""
+    """Hold a specification and its layers ``(W_i, b_i)``, float32; ``normalisation`` None: inputs are as they are."""
 
     spec: PolicySpec
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    normalisation: Normalisation | None = None
 
     def __call__(self, vectors: Float[np.ndarray, "*batch frames_features"]) -> Float[np.ndarray, "*batch 3"]:
         """Return commands for stacked feature vectors."""
-        x = vectors
+        x = self.normalisation(vectors) if self.normalisation else vectors
         for i, (weight, bias) in enumerate(self.layers):
             x = x @ weight.T + bias
             last = i == len(self.layers) - 1
@@ -98,8 +115,11 @@ class Policy:
 
 def save(path: Path, policy: Policy) -> None:
     """Write a policy; equal policies give equal files."""
-    header = {"format": POLICY_FORMAT, "version": POLICY_VERSION, **asdict(policy.spec)}
+    version = NORMALISED_VERSION if policy.normalisation else POLICY_VERSION
+    header = {"format": POLICY_FORMAT, "version": version, **asdict(policy.spec)}
     arrays = {"header": np.frombuffer(json.dumps(header).encode(), np.uint8)}
+    if policy.normalisation:
+        arrays |= {name: getattr(policy.normalisation, name).astype(np.float64) for name in NORMALISATION}
     for i, (weight, bias) in enumerate(policy.layers):
         arrays |= {f"weight{i}": weight.astype(np.float32), f"bias{i}": bias.astype(np.float32)}
     with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -153,12 +173,13 @@ def _parsed(path: str | Path) -> tuple[Policy, str]:
     with open_npz(io.BytesIO(data), path, POLICY_BYTES, expected) as stored:
         header = stored.read_json("header", path)
         found = (header.pop("format", None), header.pop("version", None)) if isinstance(header, dict) else (None, None)
-        if found != (POLICY_FORMAT, POLICY_VERSION):
-            expected = f"{POLICY_FORMAT} version {POLICY_VERSION}; found {found[0]!s:.80} {found[1]!s:.80}"
-            raise InputError(path, "version", expected)
+        if found not in [(POLICY_FORMAT, version) for version in (POLICY_VERSION, NORMALISED_VERSION)]:
+            known = f"{POLICY_FORMAT} version {POLICY_VERSION} or {NORMALISED_VERSION}"
+            raise InputError(path, "version", f"{known}; found {found[0]!s:.80} {found[1]!s:.80}")
         spec = _spec(path, header)
         layers = _layers(path, spec, stored)
-    return Policy(spec, layers), hashlib.sha256(data).hexdigest()
+        normalisation = _normalisation(path, spec, stored) if found[1] == NORMALISED_VERSION else None
+    return Policy(spec, layers, normalisation), hashlib.sha256(data).hexdigest()
 
 
 def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
@@ -169,7 +190,7 @@ def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:
     checks = {
         "name": isinstance(header["name"], str) and 0 < len(header["name"]) <= LONGEST_POLICY_NAME,
         "parts": _is_list(header["parts"])
-        and "goal" in header["parts"]
+        and any(goal in header["parts"] for goal in ("goal", f"{OBSERVED}goal"))
         and len(header["parts"]) <= len(SIZES)
         and all(_one_of(part, SIZES) for part in header["parts"]),
         "frames": _whole(header["frames"], 64),
@@ -205,6 +226,20 @@ def _layers(path: str | Path, spec: PolicySpec, stored: StoredArrays) -> tuple[t
             pair.append(as_float32(array, path, name))
         layers.append((pair[0], pair[1]))
     return tuple(layers)
+
+
+def _normalisation(path: str | Path, spec: PolicySpec, stored: StoredArrays) -> Normalisation:
+    """Read the arrays of :data:`NORMALISATION`; each float64, finite, and all but ``shift`` above 0."""
+    arrays, shape = {}, spec.shapes[0][1:]
+    for name in NORMALISATION:
+        if (declared := stored.shapes.get(name)) != shape:
+            raise InputError(path, name, f"float64 of shape {shape}; found {declared}")
+        array = stored.read(name)
+        if array.dtype != np.float64 or not np.isfinite(array).all() or (name != "shift" and (array <= 0.0).any()):
+            above = "" if name == "shift" else " above 0"
+            raise InputError(path, name, f"finite float64{above}; found {array.dtype} {array.tolist()!r:.80}")
+        arrays[name] = array
+    return Normalisation(**arrays)
 
 
 def _one_of(value: Any, known: Collection[str]) -> bool:

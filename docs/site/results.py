@@ -1,7 +1,8 @@
 """Write the results page from ``eval/baselines``: what its README says of each folder, and figures of its rows.
 
-A sweep gives the headline metrics of its report, with 95 % intervals, for each agent and condition. A study gives the
-means that it has stored with an interval.
+A sweep gives the headline metrics of its report, with 95 % intervals, for each agent and condition: the mean, and of a
+score the interquartile mean too. Policies of one training are one line, over tasks and training seeds. A study gives
+the means that it has stored with an interval.
 """
 
 import json
@@ -12,8 +13,8 @@ from typing import Any
 
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
-from vssm_gym.eval.metrics.aggregate import group_rows
 from vssm_gym.eval.metrics.registry import measured
+from vssm_gym.eval.metrics.training_runs import by_method
 from vssm_gym.eval.protocols.registry import view_of
 from vssm_gym.eval.report import tables
 
@@ -58,14 +59,10 @@ def figures(path: Path) -> str:
 def sweep(folder: Path) -> str:
     """Return the headline metrics of a sweep, one line an agent and condition; scenes are pooled."""
     view = view_of(read_manifest(folder / MANIFEST)["config"]["env"][0])
-    rows = [measured(row) for row in read_rows(folder / FILE)]
+    rows = by_method(measured(row) for row in read_rows(folder / FILE))
     by = [*tables.pooled(rows), "agent"]
-    metrics = tables.known(rows, view.measures, view.measures.headline)
-    lines = [
-        [*group, str(len(members)), *(view.measures.mean(members, metric, 0) for metric in metrics)]
-        for group, members in group_rows(rows, by).items()
-    ]
-    return table([*(name.replace("_", " ") for name in by), "episodes", *map(view.measures.label, metrics)], lines)
+    found = tables.results(rows, 0, view.measures, view.measures.headline, by)
+    return table(list(found.header), found.lines)
 
 
 def intervals(found: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:

@@ -1,20 +1,23 @@
 """Compute means over tasks with 95 % bootstrap intervals, and paired differences between agents.
 
 The resampled unit is the *task*: episodes of one task under several seeds share their start, goal and corridor and are
-not independent, so they enter and leave a resample together (a cluster bootstrap).
+not independent, so they enter and leave a resample together (a cluster bootstrap). Policies of one training
+(:mod:`vssm_gym.eval.metrics.training_runs`) are resampled with the tasks.
 """
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.row import DEFAULTS, KEY, identified
+from vssm_gym.eval.metrics import resampling
 from vssm_gym.eval.metrics.metric import Row, check_name
+from vssm_gym.eval.metrics.resampling import Bounds, Scores
+from vssm_gym.eval.metrics.training_runs import run_of
 
-RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
 # Fields that the two episodes of a pair share.
 CONDITION = tuple(name for name in (*KEY, *DEFAULTS) if name not in ("task", "seed", "agent"))
 
@@ -37,13 +40,16 @@ class Interval:
         return f"{mean} [{low}, {high}]" if np.isfinite(self.low) else f"{mean} [-]"
 
 
-def bootstrap_mean(values: Sequence[float], tasks: Sequence[Hashable], seed: int = 0) -> Interval:
-    """Compute ``mean(x)`` and the 95 % interval of ``sum_c w_c S_c / sum_c w_c n_c``, w ~ Multinomial(C, 1/C).
+def bootstrap_mean(
+    values: Sequence[float], tasks: Sequence[Hashable], seed: int = 0, runs: Sequence[Hashable] | None = None
+) -> Interval:
+    """Compute ``mean(x)`` and its 95 % interval, resampling whole tasks, and the runs of a training with them.
 
     Args:
         values: one number an episode.
-        tasks: the task of each episode; those of one task are resampled together (S_c their sum, n_c their count).
+        tasks: the task of each episode; those of one task are resampled together.
         seed: of the resampling; equal seeds give equal intervals.
+        runs: the training run of each episode; None: one for all.
 
     Returns:
         The :class:`Interval`; its mean is NaN when ``values`` is empty.
@@ -52,23 +58,13 @@ def bootstrap_mean(values: Sequence[float], tasks: Sequence[Hashable], seed: int
         raise ValueError(f"{len(values)} values for {len(tasks)} tasks")
     if not len(values):
         return Interval(np.nan, np.nan, np.nan, 0, 0)
-    x = np.asarray(values, dtype=np.float64)
-    cluster_of: dict[Hashable, int] = {}
-    cluster = np.array([cluster_of.setdefault(task, len(cluster_of)) for task in tasks])
-    sums, counts = np.bincount(cluster, weights=x), np.bincount(cluster)
-    if len(cluster_of) < 2:
-        return Interval(float(x.mean()), np.nan, np.nan, 1, len(x))
-    weights = _resamples(len(cluster_of), seed)
-    means = (weights @ sums) / (weights @ counts)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return Interval(float(x.mean()), float(low), float(high), len(cluster_of), len(x))
+    found = resampling.scores(np.asarray(values, np.float64), tasks, [0] * len(values) if runs is None else runs)
+    bounds = resampling.bootstrap(resampling.mean, resampling.cells(found), seed)
+    return replace(_interval(bounds, found), mean=float(np.mean(values)))
 
 
-@lru_cache(maxsize=8)
-def _resamples(clusters: int, seed: int) -> np.ndarray:
-    """Draw ``(resamples, clusters)`` counts of each cluster; one set serves every metric of a table."""
-    rng = np.random.default_rng(np.random.SeedSequence([seed, clusters]))
-    return rng.multinomial(clusters, np.full(clusters, 1.0 / clusters), size=RESAMPLES).astype(np.float64)
+def _interval(bounds: Bounds, of: Scores) -> Interval:
+    return Interval(float(bounds.value[0]), float(bounds.low[0]), float(bounds.high[0]), of.tasks, len(of.values))
 
 
 def task_key(row: Row) -> tuple[str, int]:
@@ -78,9 +74,48 @@ def task_key(row: Row) -> tuple[str, int]:
 
 def mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
     """Compute the mean of ``metric`` over the tasks of ``rows``; episodes that lack it (None) are left out."""
+    present = having(rows, metric)
+    values = [float(row[metric]) for row in present]
+    return bootstrap_mean(values, list(map(task_key, present)), seed, list(map(run_of, present)))
+
+
+def interquartile_mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
+    """Compute the mean of the middle half of all scores, over tasks and runs together (Agarwal et al., 2021).
+
+    It leaves out the worst and the best quarter of the episodes, so that few outliers move it less than the mean.
+    """
+    present = having(rows, metric)
+    if not present:
+        return Interval(np.nan, np.nan, np.nan, 0, 0)
+    found = scores_of(present, metric)
+    return _interval(resampling.bootstrap(resampling.interquartile_mean, found, seed), found)
+
+
+def profile(rows: Iterable[Row], metric: str, levels: Float[np.ndarray, "n"], seed: int = 0) -> Bounds:
+    """``F(tau) = P(x > tau)`` over all episodes, at each of ``levels``, with pointwise 95 % intervals.
+
+    The performance profile of Agarwal et al. (2021). It falls, and of scores in [0, 1] its integral is the mean. With
+    no score all is NaN.
+    """
+    present = having(rows, metric)
+    if not present:
+        unknown = np.full(len(levels), np.nan)
+        return Bounds(unknown, unknown, unknown)
+    found = scores_of(present, metric)
+    above = replace(found, values=(found.values > levels).astype(np.float64))
+    return resampling.bootstrap(resampling.mean, resampling.cells(above), seed)
+
+
+def having(rows: Iterable[Row], metric: str) -> list[Row]:
+    """Return the rows that have a value of a metric."""
     check_name(metric)
-    present = [row for row in rows if row.get(metric) is not None]
-    return bootstrap_mean([float(row[metric]) for row in present], [task_key(row) for row in present], seed)
+    return [row for row in rows if row.get(metric) is not None]
+
+
+def scores_of(rows: Sequence[Row], metric: str) -> Scores:
+    """Return a metric of rows that have it, with their tasks and training runs."""
+    values = np.array([float(row[metric]) for row in rows])
+    return resampling.scores(values, list(map(task_key, rows)), list(map(run_of, rows)))
 
 
 def paired_difference(
@@ -89,7 +124,9 @@ def paired_difference(
     """Compute ``mean(agent - reference)`` over episodes that both ran on the same condition, task and seed.
 
     The episode seed does not depend on the agent, so both had the same task and noise stream: the interval is far
-    tighter than that of the difference of two independent means. Episodes without a partner are left out.
+    tighter than that of the difference of two independent means. Episodes without a partner are left out. Of a method
+    with several runs an episode counts that all of them ran; tasks are drawn for both methods together, and the runs of
+    each apart.
 
     Args:
         by: the field whose two values are compared, all others equal; ``"physics"`` compares two simulators.
@@ -97,31 +134,64 @@ def paired_difference(
     Raises:
         InputError: the two share no episode.
     """
-    return bootstrap_mean(*paired_values(rows, metric, agent, reference, by), seed)
+    keys, first, second = _shared(rows, metric, agent, reference, by)
+    tasks = [task for task, _ in keys]
+    if all(len(runs) == 1 for runs in (*first, *second)):  # episodes with equal values then differ by 0 exactly
+        return bootstrap_mean(_differences(first, second), tasks, seed)
+    of, minus = (resampling.cells(_of_method(each, tasks)) for each in (first, second))
+    return replace(_interval(resampling.bootstrap(resampling.mean, of, seed, minus), of), episodes=len(keys))
 
 
 def paired_values(
     rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent"
 ) -> tuple[list[float], list[Hashable]]:
-    """Return ``first - second`` of every episode that both ran, and its task; raise like :func:`paired_difference`."""
+    """Return ``first - second`` of every episode that both ran, and its task; raise like :func:`paired_difference`.
+
+    Of a method with several runs it is the mean over them.
+    """
+    keys, of_first, of_second = _shared(rows, metric, first, second, by)
+    return _differences(of_first, of_second), [task for task, _ in keys]
+
+
+_Runs = dict[str, float]  # the training run, and the metric of its episode
+
+
+def _differences(first: Sequence[_Runs], second: Sequence[_Runs]) -> list[float]:
+    average = lambda values: sum(values.values()) / len(values)
+    return [average(a) - average(b) for a, b in zip(first, second, strict=True)]
+
+
+def _shared(
+    rows: Iterable[Row], metric: str, first: str, second: str, by: str
+) -> tuple[list[tuple[Hashable, tuple]], list[_Runs], list[_Runs]]:
+    """Return the task and key of each episode that both ran, and what all runs of each had there."""
     check_name(metric)
     rows = list(rows)
-    of_first, of_second = _by_episode(rows, metric, by, first), _by_episode(rows, metric, by, second)
-    shared = [key for key in of_first if key in of_second]
+    of_first, of_second = (_by_episode(rows, metric, by, value) for value in (first, second))
+    complete = [max(map(len, found.values()), default=0) for found in (of_first, of_second)]
+    shared = [key for key in of_first if key in of_second and [len(of_first[key]), len(of_second[key])] == complete]
     if not shared:
         both = "agents" if by == "agent" else by
         raise InputError("paired difference", f"{first} - {second}", f"episodes of both {both} that have {metric}")
-    return [of_first[key][0] - of_second[key][0] for key in shared], [of_first[key][1] for key in shared]
+    return shared, [of_first[key] for key in shared], [of_second[key] for key in shared]
 
 
-def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[tuple, tuple[float, Hashable]]:
-    """Map each episode with ``by == value``, identified by its other fields, to its metric and task."""
+def _of_method(found: Sequence[_Runs], tasks: Sequence[Hashable]) -> Scores:
+    """Return the scores of one method; tasks are numbered alike for two methods with the same ``tasks``."""
+    each = [(value, task, run) for runs, task in zip(found, tasks, strict=True) for run, value in runs.items()]
+    values, of_tasks, of_runs = zip(*each, strict=True)
+    return resampling.scores(np.array(values), of_tasks, of_runs)
+
+
+def _by_episode(rows: Iterable[Row], metric: str, by: str, value: str) -> dict[tuple[Hashable, tuple], _Runs]:
+    """Map each episode with ``by == value``, identified by its other fields, to its metric in each training run."""
     same = [name for name in (*CONDITION, "agent") if name != by]
-    return {
-        (*(identified(row, name) for name in same), row["task"], row["seed"]): (float(row[metric]), task_key(row))
-        for row in rows
-        if identified(row, by) == value and row.get(metric) is not None
-    }
+    found: dict[tuple[Hashable, tuple], _Runs] = {}
+    for row in rows:
+        if identified(row, by) == value and row.get(metric) is not None:
+            key = (*(identified(row, name) for name in same), row["task"], row["seed"])
+            found.setdefault((task_key(row), key), {})[run_of(row)] = float(row[metric])
+    return found
 
 
 def group_rows(rows: Iterable[Row], by: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from vssm_gym.eval.episodes.row import identified
-from vssm_gym.eval.metrics.aggregate import CONDITION, RESAMPLES, Interval, bootstrap_mean, task_key
+from vssm_gym.eval.metrics.aggregate import CONDITION, Interval, bootstrap_mean, task_key
 from vssm_gym.eval.metrics.metric import Row
+from vssm_gym.eval.metrics.resampling import RESAMPLES
 
 COVERAGE_LEVELS = (50, 90, 95, 99)  # % of coverage, to which path length and time are measured
 COVERAGE_GOAL = 90  # % of coverage: a run that reaches it succeeds

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 STUCK_STEPS = 15  # the last steps that are examined
 STUCK_CONTACTS = 0.5  # proportion of them in collision
+FAULT = "fault"  # the kind of a failure of the agent's own code, in runs that go on without it
 GAVE_UP_LOST = "gave up: lost"  # how the status of an agent begins that ended its task without an estimate
 CONTACT_MEMORY = 10  # steps before the track was lost in which a contact may explain it
 

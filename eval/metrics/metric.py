@@ -25,6 +25,7 @@ class Metric:
         headline: those of them that open with it.
         compared: those of them that show its paired differences.
         proportion: whether it is a boolean, shown in % with the interval of a proportion.
+        score: whether it lies in [0, 1] and reports show its interquartile mean and its profile as well.
     """
 
     function: Callable[[Row], Value]
@@ -35,6 +36,7 @@ class Metric:
     headline: tuple[str, ...] = ()
     compared: tuple[str, ...] = ()
     proportion: bool = False
+    score: bool = False
 
 
 def stored(field: str, factor: float = 1.0) -> Callable[[Row], Value]:

@@ -59,9 +59,9 @@ def _on_its_map(field: str, factor: float) -> Any:
 NAVIGATION, CAR, EXPLORE = ("navigation",), ("car",), ("explore",)
 EVERY = (*NAVIGATION, *CAR, *EXPLORE)
 METRICS: dict[str, Metric] = {
-    "spl": Metric(_spl, "SPL", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION),
+    "spl": Metric(_spl, "SPL", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION, score=True),
     "success": Metric(stored("success"), "success", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION),
-    "soft_spl": Metric(stored("soft_spl"), "SoftSPL", 2, "higher", NAVIGATION, compared=NAVIGATION),
+    "soft_spl": Metric(stored("soft_spl"), "SoftSPL", 2, "higher", NAVIGATION, compared=NAVIGATION, score=True),
     "steps": Metric(stored("steps"), "steps", 0, "lower", NAVIGATION),
     "collisions": Metric(stored("collisions"), "collisions", 1, "lower", NAVIGATION),
     "collision_rate": COLLISION_RATE,

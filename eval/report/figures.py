@@ -13,6 +13,7 @@ from vssm_gym.eval.metrics import aggregate
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.viz import pictures
 
+SCORE_LEVELS = np.linspace(0.0, 1.0, 101)  # of a score, at which its profile is drawn
 KEY_CHARACTERS = 150  # of a legend's line across a figure
 GROUPS = ("scene", "noise", "physics", "agent")  # runs are chosen from each of these in turn
 # The palette of Okabe and Ito (2008), which colour-blind readers can distinguish.
@@ -48,6 +49,32 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         axes.grid(alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
     figure.legend(*success.get_legend_handles_labels(), **key_of(list(colours(rows))))
+    return pictures.svg(figure)
+
+
+def profiles(rows: Sequence[Row], labels: Mapping[str, str], seed: int) -> bytes:
+    """Draw the performance profile of each score as SVG, with pointwise 95 % intervals.
+
+    Args:
+        rows: episodes of one condition.
+        labels: of the scores, by name.
+        seed: of the resampling.
+    """
+    figure = Figure(figsize=(4.2 * len(labels), 3.3), layout="constrained")
+    panels = figure.subplots(1, len(labels), sharey=True, squeeze=False)[0]
+    of_agent = colours(rows)
+    for axes, (name, label) in zip(panels, labels.items(), strict=True):
+        for (agent,), members in aggregate.group_rows(rows, ["agent"]).items():
+            found = aggregate.profile(members, name, SCORE_LEVELS, seed)
+            axes.step(SCORE_LEVELS, found.value, where="post", color=of_agent[agent], label=agent)
+            axes.fill_between(
+                SCORE_LEVELS, found.low, found.high, step="post", color=of_agent[agent], alpha=0.15, linewidth=0
+            )
+        axes.set(xlabel=f"{label} (\u03c4)", xlim=(0.0, 1.0), ylim=(-0.02, 1.02))
+        axes.grid(alpha=0.3, linewidth=0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("proportion of episodes above \u03c4")
+    figure.legend(*panels[0].get_legend_handles_labels(), **key_of(list(of_agent)))
     return pictures.svg(figure)
 
 

@@ -12,6 +12,7 @@ from vssm_gym.eval.episodes.row import DEFAULTS, identified
 from vssm_gym.eval.metrics.aggregate import group_rows
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import measured
+from vssm_gym.eval.metrics.training_runs import by_method, run_of
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import figures, ranking, tables
 from vssm_gym.eval.report.view import Mark, View, map_file
@@ -48,7 +49,7 @@ def write_report(folder: Path, seed: int = 0, out: Path | None = None) -> Path:
     view: View = view_of(_environment(manifest, folder))
     rows = read_rows(folder / FILE)
     _check(manifest["config"], rows, view, folder)
-    rows = [measured(row) for row in _in_config_order(rows, manifest["config"])]
+    rows = by_method(measured(row) for row in _in_config_order(rows, manifest["config"]))
     if not rows:
         raise InputError(folder / FILE, "file", "at least one finished episode")
     reference = tables.reference_agent(rows)
@@ -119,6 +120,7 @@ def _page(
         failures=_failures(view, rows, backgrounds),
         directions=view.measures.directions(tables.known(rows, view.measures)),
         results=tables.results(rows, seed, view.measures),
+        each_run=tables.of_each_run(rows, seed, view.measures),
         reference=reference,
         differences=tables.differences(rows, reference, seed, view.measures) if reference else None,
         comparison=view.comparison(rows, seed, reference),
@@ -126,12 +128,23 @@ def _page(
             (group, svg_image(view.curves(members, seed)))
             for group, members in group_rows(rows, view.curves_by(rows)).items()
         ],
+        profiles=_profiles(view, rows, seed),
         latencies=tables.latencies(rows) if any(row.get("latency") for row in rows) else None,
         responses=tables.responses(rows),
         plans=view.plans(rows, maps, folder),
         successes=successes,
         **view.values,
     )
+
+
+def _profiles(view: View, rows: Sequence[Row], seed: int) -> list[tuple[tuple[str, ...], Image]]:
+    """Draw the profiles of the scores for each condition, scenes pooled; none where no score is measured."""
+    labels = view.measures.scores(rows)
+    return [
+        (group, svg_image(figures.profiles(members, labels, seed)))
+        for group, members in group_rows(rows, tables.pooled(rows)).items()
+        if labels
+    ]
 
 
 def _facts(view: View, rows: Sequence[Row], manifest: dict[str, Any]) -> dict[str, Sequence[Any]]:
@@ -198,7 +211,7 @@ def _runs(view: View, rows: Sequence[Row], backgrounds: Mapping[str, pictures.Ba
     return [
         Run(
             webp_image(view.picture(row, backgrounds.get(row["scene"]))),
-            (row["agent"], *view.condition(row), f"task {row['task']}", f"seed {row['seed']}"),
+            (run_of(row) or row["agent"], *view.condition(row), f"task {row['task']}", f"seed {row['seed']}"),
             [(row["failure"], "bad")] if row["failure"] else view.success(row),
             view.numbers(row),
         )

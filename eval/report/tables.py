@@ -1,9 +1,9 @@
 """Build the tables of a report: results with intervals, paired differences, latencies, failures by reason."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from vssm_gym.eval.metrics import aggregate, proportions
 from vssm_gym.eval.metrics.aggregate import Interval
 from vssm_gym.eval.metrics.metric import Metric, Row, check_name
 from vssm_gym.eval.metrics.registry import shown_in
+from vssm_gym.eval.metrics.training_runs import RUN, run_of
 from vssm_gym.viz.html import Table
 
 
@@ -45,6 +46,28 @@ class Measures:
         """Format the mean and 95 % interval of a metric as a cell."""
         proportion = self.metrics[check_name(name)].proportion
         return self.text(name, proportions.percent(rows, name) if proportion else aggregate.mean(rows, name, seed))
+
+    def columns(self, names: Sequence[str]) -> dict[str, Callable[[Sequence[Row], int], str]]:
+        """Return the heading of each column, and what formats its cells from rows and a seed.
+
+        A score has two columns, its mean and its interquartile mean (IQM).
+        """
+        found: dict[str, Callable[[Sequence[Row], int], str]] = {}
+        for name in names:
+            found[self.label(name)] = partial(self._cell, name)
+            if self.metrics[name].score:
+                found[f"{self.label(name)} IQM"] = partial(self._middle, name)
+        return found
+
+    def _cell(self, name: str, rows: Sequence[Row], seed: int) -> str:
+        return self.mean(rows, name, seed)
+
+    def _middle(self, name: str, rows: Sequence[Row], seed: int) -> str:
+        return self.text(name, aggregate.interquartile_mean(rows, name, seed))
+
+    def scores(self, rows: Sequence[Row]) -> dict[str, str]:
+        """Return the labels of the scores for which a row has a value, by name."""
+        return {name: self.label(name) for name in known(rows, self) if self.metrics[name].score}
 
     def difference(
         self, rows: Sequence[Row], name: str, first: str, second: str, seed: int, by: str = "agent"
@@ -105,13 +128,22 @@ def results(
         by: fields that rows are grouped by; None: condition and agent.
     """
     by = grouping(rows) if by is None else by
-    shown = known(rows, measures, [check_name(name) for name in metrics])
-    header = [*(name.replace("_", " ") for name in by), "episodes", *(measures.label(metric) for metric in shown)]
+    shown = measures.columns(known(rows, measures, [check_name(name) for name in metrics]))
+    header = [*(name.replace("_", " ") for name in by), "episodes", *shown]
     lines = [
-        [*group, str(len(members)), *(measures.mean(members, metric, seed) for metric in shown)]
+        [*group, str(len(members)), *(cell(members, seed) for cell in shown.values())]
         for group, members in aggregate.group_rows(rows, by).items()
     ]
     return Table(header, lines, len(by))
+
+
+def of_each_run(rows: Sequence[Row], seed: int, measures: Measures) -> Table | None:
+    """Tabulate the headline's metrics of each policy of the methods that have several; None without any.
+
+    A policy by itself has an interval over tasks alone.
+    """
+    rows = [{**row, "agent": run_of(row), RUN: ""} for row in rows if run_of(row)]
+    return results(rows, seed, measures, measures.headline) if rows else None
 
 
 def known(rows: Sequence[Row], measures: Measures, metrics: Sequence[str] = ()) -> list[str]:
@@ -213,7 +245,8 @@ def failure_list(rows: Sequence[Row]) -> Table:
     ends = {name: label for name, label in ENDS.items() if any(row.get(name) is not None for row in failed)}
     lines = [
         [
-            *(str(identified(row, name)) for name in by),
+            *(str(identified(row, name)) for name in by[:-1]),
+            run_of(row) or str(row["agent"]),
             str(row["task"]),
             str(row["seed"]),
             row["failure"],

@@ -1,4 +1,4 @@
-"""Compare an episode's row with the row that an earlier run wrote: the first field whose value differs.
+"""Compare a row with the row that an earlier run wrote: the first field whose value differs.
 
 Numbers agree if ``|a - b| <= tolerance max(1, |a|)``; everything else must be equal. What says when and by what a row
 was made, and how long that took, is not an outcome.
@@ -6,12 +6,34 @@ was made, and how long that took, is not an outcome.
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 MADE_BY = ("format", "version", "config_hash", "map_hash", "explored")  # of the code, the sweep and its files
-TIMES = ("latency", "decision_p95")
+TIMES = ("latency", "decision_p50", "decision_p95")
 PICTURED = ("trace",)  # thinned paths for a picture; their metrics are compared
 NOT_OUTCOMES = frozenset(MADE_BY + TIMES + PICTURED)  # fields that are not compared
+
+
+@dataclass(frozen=True)
+class Reproduced:
+    """Hold one row that was run again.
+
+    Attributes:
+        name: of the row in words.
+        difference: the first field that differs; None if the outcomes agree.
+    """
+
+    name: str
+    difference: str | None
+
+
+def spread_evenly(rows: Sequence[dict[str, Any]], most: int) -> list[dict[str, Any]]:
+    """Return at most so many rows, from the first to the last."""
+    places = np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)
+    return [rows[k] for k in np.unique(places)]
 
 
 def first_difference(expected: Mapping[str, Any], found: Mapping[str, Any], tolerance: float) -> str | None:

@@ -5,32 +5,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from vssm_gym.agents.policy.policy_file import PREFIX, label
 from vssm_gym.agents.registry import AGENTS, WITH
-from vssm_gym.envs.scenes.specs import scene_name
+from vssm_gym.envs.scenes.specs import scene_name, spec_of_name
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, episode_key, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
 from vssm_gym.eval.protocols.registry import protocol_of
-from vssm_gym.eval.reproduction.comparison import first_difference
+from vssm_gym.eval.reproduction.comparison import Reproduced, first_difference, spread_evenly
 from vssm_gym.eval.sweep.config import SweepConfig, check_environments, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
+from vssm_gym.files.shipped import MAPS, names, shipped
+from vssm_gym.maps.map_file import map_hash
 from vssm_gym.progress import OnProgress
 
-
-@dataclass(frozen=True)
-class Reproduced:
-    """Hold one row that was run again.
-
-    Attributes:
-        row: as it was written.
-        difference: the first field that differs; None if the outcomes agree.
-    """
-
-    row: dict[str, Any]
-    difference: str | None
+POLICY_FOLDER = "policies"  # of a sweep's folder: the files of the policies that its rows call NAME@HASH
 
 
 @dataclass(frozen=True)
@@ -50,7 +40,7 @@ class ChosenEpisodes:
         return {"chosen": len(self.keys)}
 
 
-def reproduce(
+def reproduce_sweep(
     folder: Path,
     out: Path,
     episodes: int,
@@ -62,7 +52,8 @@ def reproduce(
     """Run rows of a finished sweep again, spread evenly over it, and compare their outcomes.
 
     Args:
-        folder: of the sweep: ``sweep.json`` and ``episodes.jsonl``.
+        folder: of the sweep: ``sweep.json`` and ``episodes.jsonl``, and where policies drove, their files in
+            ``policies/``, found by the labels in the rows.
         out: new or empty folder of the sweep that runs them.
         episodes: rows at most.
         tolerance: see :func:`first_difference`.
@@ -71,22 +62,26 @@ def reproduce(
         on_progress: as of :func:`run_sweep`.
 
     Raises:
-        InputError: no finished sweep; an agent or a scene that is not there, or whose content has changed.
+        InputError: no finished sweep; an agent, a policy, a map or a scene that is not there, or has changed.
     """
     manifest, rows = read_manifest(folder / MANIFEST), read_rows(folder / FILE)
     if not rows:
         raise InputError(folder / FILE, "file", "at least one episode")
-    chosen = [rows[k] for k in np.unique(np.linspace(0, len(rows) - 1, min(episodes, len(rows))).round().astype(int))]
+    chosen = spread_evenly(rows, episodes)
     config = _config(folder, manifest, chosen, scenes)
     hashes = _hashes(folder, manifest, config)
     part = ChosenEpisodes(tuple(episode_key(row) for row in chosen), tuple(hashes.items()))
-    log = run_sweep(config, out, seed=manifest["seed"], shard=part, workers=workers, on_progress=on_progress)
+    given = _given_map(folder, manifest)
+    log = run_sweep(
+        config, out, seed=manifest["seed"], shard=part, workers=workers, map_file=given, on_progress=on_progress
+    )
     found = {episode_key(row): row for row in read_rows(log)}
     outcome = []
     for row in chosen:
         again = found.get(episode_key(row))
         difference = "the row: not an episode of the sweep's configuration" if again is None else None
-        outcome.append(Reproduced(row, difference or first_difference(row, again or {}, tolerance)))
+        name = f"{row['scene']}, {row['agent']}, noise {row['noise']}, task {row['task']}"
+        outcome.append(Reproduced(name, difference or first_difference(row, again or {}, tolerance)))
     return outcome
 
 
@@ -94,18 +89,40 @@ def _config(
     folder: Path, manifest: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], scenes: Mapping[str, str]
 ) -> SweepConfig:
     """Return the configuration of the sweep, with the scenes and agents of the chosen rows alone."""
-    agents = list(dict.fromkeys(row["agent"] for row in rows))
+    policies = policies_of(folder)
+    agents = [policies.get(agent, agent) for agent in dict.fromkeys(row["agent"] for row in rows)]
     for agent in agents:
-        if agent.partition(WITH)[0] not in AGENTS:
-            raise InputError(
-                folder / MANIFEST, "config.agents", f"agents of the registry; {agent} is a file or unknown"
-            )
+        if not agent.startswith(PREFIX) and agent.partition(WITH)[0] not in AGENTS:
+            expected = f"agents of the registry, or policies whose files lie in {POLICY_FOLDER}/; {agent} is neither"
+            raise InputError(folder / MANIFEST, "config.agents", expected)
     names = list(dict.fromkeys(row["scene"] for row in rows))
-    given = dict(manifest["config"]) | {"agents": agents, "scenes": [scenes.get(name, name) for name in names]}
+    given = dict(manifest["config"]) | {
+        "agents": agents,
+        "scenes": [scenes.get(name, spec_of_name(name)) for name in names],
+    }
     config = SweepConfig.model_validate({name: value for name, value in given.items() if value is not None})
     check_environments(config, folder / MANIFEST)
     check_names(config, folder / MANIFEST)
     return config
+
+
+def policies_of(folder: Path) -> dict[str, str]:
+    """Return ``policy:PATH`` of each policy file of a sweep's folder, by the label that rows have for it."""
+    return {label(path): f"{PREFIX}{path.resolve()}" for path in sorted((folder / POLICY_FOLDER).glob("*.npz"))}
+
+
+def _given_map(folder: Path, manifest: Mapping[str, Any]) -> Path | None:
+    """Return the map that the sweep was given, found by its hash; None where the sweep learned its own."""
+    wanted = manifest.get("map_hash")
+    if wanted is None:
+        return None
+    known = [shipped(name, MAPS) for name in names(MAPS)] + sorted((folder / MAPS).glob("*.npz"))
+    for path in known:
+        if map_hash(path) == wanted:
+            return path
+    raise InputError(
+        folder / MANIFEST, "map_hash", f"that of a map of the package, or of {MAPS}/; found {wanted!r:.80}"
+    )
 
 
 def _hashes(folder: Path, manifest: Mapping[str, Any], config: SweepConfig) -> dict[str, str]:

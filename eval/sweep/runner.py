@@ -13,10 +13,10 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Future, as_completed
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.agents.renamed import hashed_name
@@ -32,7 +32,8 @@ from vssm_gym.eval.protocols.given_tasks import task_file_hash, write_given_task
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
-from vssm_gym.eval.sweep.own_agents import GUARD, check_importable, code_hashes, own_agents
+from vssm_gym.eval.sweep.own_agents import check_importable, code_hashes, own_agents
+from vssm_gym.eval.sweep.pools import WORKERS, PoolOf, pools
 from vssm_gym.eval.sweep.shards import Part
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import ADVICE, RESUME, Owner, check_at_least, check_folder, owned_folder
@@ -42,9 +43,6 @@ from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 
-if TYPE_CHECKING:
-    from vssm_gym.agents.base import Agent
-
 SIGNAL_SECONDS = 0.5  # within which a signal that was sent to a group of processes has reached all of them
 
 
@@ -53,10 +51,12 @@ def run_sweep(
     out: str | Path,
     *,
     resume: bool = False,
-    workers: int = 2,
+    workers: int | None = None,
     seed: int = 0,
     shard: Part | None = None,
     map_file: Path | None = None,
+    agent_seconds: float | None = None,
+    ray: str | None = None,
     on_progress: OnProgress | None = None,
 ) -> Path:
     """Run the episodes of a configuration that are not yet in ``out/episodes.jsonl``.
@@ -68,18 +68,22 @@ def run_sweep(
         config: checked by :func:`vssm_gym.eval.sweep.config.load_config`; its agents may be the program's own.
         out: new or empty folder, or with ``resume`` that of a sweep of the same configuration and seed.
         resume: continue; with no episode there yet, begin.
-        workers: processes.
+        workers: processes; None: two, or one for each CPU of a cluster.
         seed: of the recorded drives that maps are learned from; episodes take theirs from the configuration.
         shard: the part of the episodes to run; None: all of them.
         map_file: a map for the agents of a configuration of one scene, which is copied; None: maps are learned.
+        agent_seconds: of processor time that an agent may use in an episode. With it, an agent's errors, wrong
+            decisions and lost time are failures of its episodes; None: its time is its own, its errors end the sweep.
+        ray: address of a Ray cluster whose machines run the episodes; None: this machine does.
         on_progress: called with ("recording" | "map" | "episodes" | "ending", done, total).
 
     Returns:
         The file ``out/episodes.jsonl``.
 
     Raises:
-        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died;
-            a program that workers cannot import; an agent that returns no decision.
+        InputError: the folder is not this sweep's, or one is running in it; a scene that cannot be used; a worker died
+            (:class:`WorkerDiedError`); no such cluster, or one of other versions; a program that workers cannot import;
+            an agent that returns no decision.
         OutputError: a full disk or the like; the episodes before are kept.
         RuntimeError: an error inside an agent, whose traceback precedes it; the message names scene and task.
     """
@@ -87,7 +91,7 @@ def run_sweep(
     out = Path(out)
     own = own_agents(config.agents)
     check_importable(own)
-    check_at_least("sweep", "workers", workers, 1)
+    check_at_least("sweep", "workers", WORKERS if workers is None else workers, 1)
     check_at_least("sweep", "seed", seed, 0)
     check_folder(out)
     with warnings.catch_warnings():
@@ -105,7 +109,11 @@ def run_sweep(
             manifest["map_hash"] = given_map_hash(config, map_file)
         identity = ("map_hash", "agent_code", "config_hash", "shard")
         owner = Owner("sweep", MANIFEST, manifest, identity=identity, resumed=(FILE,))
-        with owned_folder(out, owner, resume), EpisodeLog(out / FILE) as log:
+        with (
+            pools(workers, ray, tuple(own.values())) as pool_of,
+            owned_folder(out, owner, resume),
+            EpisodeLog(out / FILE) as log,
+        ):
             done = {episode_key(row) for row in log.rows}
             todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
             for scene in dict.fromkeys(episode.condition.scene for episode in todo):
@@ -113,8 +121,9 @@ def run_sweep(
                 if map_file is not None:
                     copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
                 jobs = jobs_of(batch, scene, apartments[scene], out, config, manifest, on_progress)
+                jobs = [replace(job, agent_seconds=agent_seconds) for job in jobs]
                 worker.release_memory()
-                _run(jobs, log, workers, len(episodes), on_progress, tuple(own.values()))
+                _run(jobs, log, pool_of, len(episodes), on_progress)
     return out / FILE
 
 
@@ -255,24 +264,16 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
     return out / "explored" / f"{'-'.join(world)}.npz"
 
 
-def _run(
-    jobs: list[worker.Job],
-    log: EpisodeLog,
-    workers: int,
-    total: int,
-    on_progress: OnProgress | None,
-    own: "tuple[type[Agent], ...]" = (),
-) -> None:
+def _run(jobs: list[worker.Job], log: EpisodeLog, pool_of: PoolOf, total: int, on_progress: OnProgress | None) -> None:
     """Run all jobs of a scene over workers of its own, whose memory is freed at the end; log results as they come.
 
-    One episode of each agent that uses the map runs first, one after the other: it fills the compilation cache for the
-    others. Two workers that compile at once would take twice the time and memory.
+    One episode of each agent that uses the map runs first on each machine, one after the other: it fills the
+    compilation cache for the others. Two workers that compile at once would take twice the time and memory.
     """
-    first = list({job.episode.agent: job for job in reversed(jobs) if job.map_file}.values())[::-1]
     futures: dict[Future, worker.Job] = {}
 
-    def submit(job: worker.Job) -> Future:
-        future = pool.submit(worker.run, job)
+    def submit(job: worker.Job, machine: int | None = None) -> Future:
+        future = pool.submit(job, machine)
         futures[future] = job
         return future
 
@@ -286,41 +287,44 @@ def _run(
             on_progress("episodes", len(log.rows), total)
 
     report()
-    context = multiprocessing.get_context("spawn")
-    started = context.Event()
-    with worker.single_threaded_children():
-        processes = min(workers, len(jobs))
-        pool = ProcessPoolExecutor(processes, context, initializer=worker.initialise, initargs=(started, own))
-        try:
-            for job in first:
-                keep(submit(job))
-                report()
-            for future in as_completed([submit(job) for job in jobs if job not in first]):
+    pool = pool_of(len(jobs))
+    try:
+        first = _first(jobs, pool.machines)
+        for batch in first:
+            for future in as_completed([submit(job, machine) for machine, job in enumerate(batch)]):
                 keep(future)
                 report()
-        except KeyboardInterrupt:
-            begun = [future for future in futures if future.running() or future.done()]
-            pool.shutdown(wait=False, cancel_futures=True)  # one that we cancel would break it
-            ended: Future | None
-            for done, ended in enumerate(itertools.chain([None], as_completed(begun))):
-                if ended is not None and ended.exception() is None:
-                    keep(ended)
-                if on_progress and begun:
-                    on_progress("ending", done, len(begun))
-            if len(log.rows) < total:
-                raise
-        except BrokenProcessPool as error:
-            time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
-            if not started.is_set():
-                expected = f"worker processes that can import this program: start the sweep below {GUARD}"
-                raise InputError("sweep", "workers", expected) from None
-            expected = "worker processes that live to the end; one was killed, possibly for lack of memory"
-            kept = f"{len(log.rows)} of {total} episodes are kept ({RESUME})"
-            raise InputError("sweep", "workers", f"{expected}; {kept}") from error
-        except InputError as error:
-            raise error.with_traceback(None) from None
-        except Exception as error:
-            error.add_note(f"{len(log.rows)} of {total} episodes are kept ({RESUME})")
-            raise error.with_traceback(None) from error.__cause__
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+        begun = set(itertools.chain(*first))
+        for future in as_completed([submit(job) for job in jobs if job not in begun]):
+            keep(future)
+            report()
+    except KeyboardInterrupt:
+        running = [future for future in futures if future.running() or future.done()]
+        pool.stop()
+        ended: Future | None
+        for done, ended in enumerate(itertools.chain([None], as_completed(running))):
+            if ended is not None and ended.exception() is None:
+                keep(ended)
+            if on_progress and running:
+                on_progress("ending", done, len(running))
+        if len(log.rows) < total:
+            raise
+    except BrokenExecutor as error:
+        time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
+        raise pool.lost(f"{len(log.rows)} of {total} episodes are kept ({RESUME})") from error
+    except InputError as error:
+        raise error.with_traceback(None) from None
+    except Exception as error:
+        error.add_note(f"{len(log.rows)} of {total} episodes are kept ({RESUME})")
+        raise error.with_traceback(None) from error.__cause__
+    finally:
+        pool.close()
+
+
+def _first(jobs: Sequence[worker.Job], machines: int) -> list[list[worker.Job]]:
+    """Return the first jobs of each agent that uses the map, one for each machine if there are so many."""
+    agents: dict[str, list[worker.Job]] = {}
+    for job in jobs:
+        if job.map_file and len(found := agents.setdefault(job.episode.agent, [])) < machines:
+            found.append(job)
+    return list(agents.values())

@@ -22,7 +22,9 @@ from vssm_gym.envs.scenes.faults import SceneWarning
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
+from vssm_gym.eval.metrics.failure import FAULT
 from vssm_gym.eval.protocols.registry import protocol_of
+from vssm_gym.eval.sweep.supervision import SupervisedAgent
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from multiprocessing.synchronize import Event
@@ -46,6 +48,10 @@ ONE_THREAD = {
 _compiled: set[str] = set()  # agents that this process has run
 
 
+class WorkerDiedError(InputError):
+    """Report a worker process that has ended before its episode did."""
+
+
 @dataclass(frozen=True)
 class Job:
     """Hold one episode to run, the files of its map and tasks, and the fields that sign its row."""
@@ -58,6 +64,13 @@ class Job:
     config_hash: str
     version: str
     explored_file: Path | None = None  # for the final map of an explorer
+    agent_seconds: float | None = None  # of processor time that the agent may use; its errors are then failures
+
+
+def one_thread() -> dict[str, str]:
+    """Return the variables of a process with one thread; its flags for XLA begin with those of this process."""
+    flags = [os.environ.get("XLA_FLAGS"), ONE_THREAD["XLA_FLAGS"]]
+    return ONE_THREAD | {"XLA_FLAGS": " ".join(filter(None, flags))}
 
 
 @contextlib.contextmanager
@@ -67,8 +80,7 @@ def single_threaded_children() -> Iterator[None]:
     Libraries read these environment variables when they are loaded, before a pool's initializer could run.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
-    flags = " ".join(filter(None, [before["XLA_FLAGS"], ONE_THREAD["XLA_FLAGS"]]))
-    os.environ.update(ONE_THREAD | {"XLA_FLAGS": flags})
+    os.environ.update(one_thread())
     try:
         yield
     finally:
@@ -89,15 +101,20 @@ def initialise(started: "Event | None" = None, own: "Sequence[type[Agent]]" = ()
     if started is not None:
         started.set()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", SceneWarning)  # the notices of the manifest say it once
+    prepare(own)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def prepare(own: "Sequence[type[Agent]]") -> None:
+    """Silence the notices of scenes, which the manifest has, and register the own agents."""
+    warnings.simplefilter("ignore", SceneWarning)
     if own:
         from vssm_gym.agents.registry import register_agent
 
         for kind in own:
             register_agent(kind)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_leave_with, args=(parent.sentinel,), daemon=True).start()
 
 
 def _leave_with(sentinel: int) -> None:
@@ -110,6 +127,8 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
     episode = job.episode
     try:
         protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
+        supervised = None if job.agent_seconds is None else SupervisedAgent(agent, job.agent_seconds)
+        agent = supervised or agent
         learned = _map(episode.condition.env, job.map_file) if job.map_file else None
         result = protocol.run(episode, agent, job.task_file, learned, wrap=wrap)
     except (InputError, OutputError):
@@ -117,6 +136,8 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
     except Exception as error:  # of a class that only this process may know, so that its text is sent
         message = f"{episode.words()}: {type(error).__name__}: {error}"
         raise RuntimeError(message).with_traceback(error.__traceback__) from None
+    if supervised is not None and supervised.fault is not None:
+        result |= {"success": False, "failure": f"{FAULT}: {supervised.fault}"}
     if job.explored_file:
         result["explored"] = _keep(agent, job)
     signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}

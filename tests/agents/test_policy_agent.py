@@ -15,7 +15,7 @@ from vssm_gym.agents.base import AgentContext
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.agent import PolicyAgent, body_std, stop_radius
 from vssm_gym.agents.policy.command_history import CommandHistory
-from vssm_gym.agents.policy.features import SIZES, WAVES, features, relative, size_of
+from vssm_gym.agents.policy.features import OBSERVED, SIZES, WAVES, features, relative, size_of
 from vssm_gym.agents.policy.policy_file import Policy, PolicySpec
 from vssm_gym.agents.registry import agent_type, make_agent
 from vssm_gym.agents.shared.localization import Localization
@@ -123,7 +123,7 @@ def test_the_uncertainty_is_in_the_bodys_frame():
     np.testing.assert_allclose(std, [0.04 * np.cos(np.pi / 6.0), 0.02, 0.02])
     shown = {"goal": np.array([1.0, 1.0, 0.0]), "pose_std": std}
     np.testing.assert_allclose(features(shown, ("goal", "pose_std"))[4:], 10.0 * std, atol=1e-6)
-    assert sum(SIZES.values()) == 127
+    assert sum(size for part, size in SIZES.items() if not part.startswith(OBSERVED)) == 127
 
 
 def test_commands_are_scaled_newest_first():
@@ -208,8 +208,9 @@ def rewritten(path: Path, header: dict[str, Any] | None = None, **arrays: np.nda
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"header": {"format": "other"}}, "version: expected vssm_gym.Policy version 1"),
-        ({"header": {"version": 2}}, "version: expected"),
+        ({"header": {"format": "other"}}, "version: expected vssm_gym.Policy version 1 or 2"),
+        ({"header": {"version": 3}}, "version: expected"),
+        ({"header": {"version": 2}}, "shift: expected float64 of shape"),
         ({"header": {"extra": 1}}, "header: expected the fields"),
         ({"header": {"activation": "os.system"}}, "activation: expected"),
         ({"header": {"activation": []}}, "activation: expected"),

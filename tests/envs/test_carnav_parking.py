@@ -18,12 +18,12 @@ from vssm_gym.envs.scenes.generator import generate, recorded_spec
 from vssm_gym.envs.scenes.generator.parking import (
     BAY,
     BAY_CLEARANCES,
-    BAY_DEPTH,
-    BEFORE_BAY,
+    BEFORE,
     BESIDE_BAY,
-    GAP_CLEARANCE,
+    DEPTH,
     MOVED_BY,
     MOVED_OBSTACLES,
+    ROOMY,
     YARD_GAP,
     ground,
 )
@@ -83,9 +83,9 @@ def test_bays_are_as_wide_as_stated(seed):
         for mark in marks:
             box, shape = mark.boxes[0], ground(mark)
             assert shape.intersection(things).area < 1e-6 and box.center[2] + 0.5 * box.size[2] < 0.01
-            between_kerbs = box.size[1] == BAY_DEPTH
+            between_kerbs = box.size[1] == DEPTH
             clear = (box.size[0] - CAR.width if between_kerbs else box.size[1] - CAR.length) / 2
-            assert min(abs(clear - stated) for stated in (BAY_CLEARANCES if between_kerbs else (GAP_CLEARANCE,))) < 1e-6
+            assert min(abs(clear - stated) for stated in (BAY_CLEARANCES if between_kerbs else (ROOMY,))) < 1e-6
             # the room that a car in the middle has to either side, measured on the solid pieces
             x, y = box.center[:2]
             half = (0.5 * CAR.width, 0.5 * CAR.length)
@@ -101,13 +101,13 @@ def test_obstacles_were_moved_in_front_of_bays_and_nothing_else_differs(seed):
     pairs = list(zip(before.furniture, after.furniture, strict=True))
     moved = [(one, other) for one, other in pairs if one != other]
     assert len(moved) == MOVED_OBSTACLES
-    bays = [p.boxes[0].center for p in after.furniture if p.category == BAY and p.boxes[0].size[1] == BAY_DEPTH]
+    bays = [p.boxes[0].center for p in after.furniture if p.category == BAY and p.boxes[0].size[1] == DEPTH]
     for one, other in moved:
         assert (one.name, one.category, one.boxes[0].size) == (other.name, other.category, other.boxes[0].size)
         at = other.boxes[0].center
         assert math.dist(one.boxes[0].center, at) >= MOVED_BY
         near = [
-            abs(at[0] - x) <= BESIDE_BAY + 0.006 and BEFORE_BAY[0] - 0.006 <= abs(at[1] - y) <= BEFORE_BAY[1] + 0.006
+            abs(at[0] - x) <= BESIDE_BAY + 0.006 and BEFORE[0] - 0.006 <= abs(at[1] - y) <= BEFORE[1] + 0.006
             for x, y, _ in bays
         ]
         assert any(near)

@@ -22,6 +22,7 @@ from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key, read_rows
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import expand, load_config
+from vssm_gym.eval.sweep.pools import LocalPool
 from vssm_gym.eval.sweep.runner import MANIFEST, _run, config_hash, run_sweep
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.slam.map_building import ensure_map
@@ -224,7 +225,7 @@ def test_bad_input_that_a_worker_finds_is_shown_as_it_is(folder, tmp_path):
     episode = next(expand(load_config(folder / "sweep.yaml")))
     job = worker.Job(episode, None, None, tmp_path / "tasks.json", "scene", "hash", "version")
     with EpisodeLog(tmp_path / FILE) as log, pytest.raises(InputError, match=r"tasks\.json: file: expected a readable"):
-        _run([job], log, 1, 1, None)
+        _run([job], log, LocalPool, 1, None)
 
 
 def test_the_parent_keeps_its_own_threads():

@@ -83,6 +83,7 @@ EXTRAS = {  # of pyproject.toml, and what they are for
     "bullet": "the PyBullet simulator",
     "dynamics": "flights of the Blackbird data set",
     "datasets": "data sets of Minari and LeRobot",
+    "cluster": "sweeps and trainings on a Ray cluster",
     "docs": "make docs",
     "human": "windows",
     "viz": "live viewer, videos",

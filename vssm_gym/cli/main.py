@@ -40,6 +40,7 @@ COMMANDS: dict[str, Any] = {
     "explore": "explore.explore",
     "sweep": "sweep.sweep",
     "merge": "sweeps.merge.merge",
+    "benchmark": "sweeps.benchmark.benchmark",
     "reproduce": "sweeps.reproduce.reproduce",
     "report": "report.report",
     "slam": "slam.slam",

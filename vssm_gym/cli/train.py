@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     from vssm_gym.training.run import Row
 
 
-@interruptible("checkpoint.pt", "demonstrations.npz", "policy.npz")
+@interruptible("checkpoint.pt", "checkpoint.npz", "demonstrations.npz", "policy.npz", "seed-*/policy.npz")
 def train(
     config: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")],
     out: Path,
     resume: bool = False,
     map: Path | None = None,
     seed: int | None = None,
+    seeds: Annotated[str | None, tyro.conf.arg(metavar="N,N,...")] = None,
+    ray: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None,
 ) -> None:
-    """Train a policy; OUT gets policy.npz, checkpoint.pt, progress.jsonl and logs for TensorBoard.
+    """Train a policy; OUT gets policy.npz, a checkpoint and progress.jsonl.
 
     Interrupt at any time: progress is kept, and --resume continues. Return and success are shown when enough episodes
     have ended. To evaluate the policy, run `vssm-gym evaluate`, or name it in a sweep as "policy:OUT/policy.npz".
@@ -37,17 +39,51 @@ def train(
         resume: continue the training of the same configuration in OUT.
         map: the map file to train in, in place of the configuration's.
         seed: seed of network, exploration and environments, in place of the configuration's.
+        seeds: train once with each of these seeds, in OUT/seed-N: one after the other, or at once with --ray.
+        ray: train the seeds on the Ray cluster of this address, auto or HOST:PORT, each on one CPU; all of its machines
+            share the folders of OUT and of the map.
     """
+    from vssm_gym.cli.shared.arguments import parse_numbers
+    from vssm_gym.errors import InputError
+    from vssm_gym.files.output_folders import check_at_least
+    from vssm_gym.files.yaml_file import distinct
+    from vssm_gym.training.cluster_seeds import check_unbegun, seed_folder
+    from vssm_gym.training.config import load_training
+
+    if seeds is None:
+        if ray is not None:
+            raise InputError("train", "ray", "--seeds as well: each seed is trained on one CPU of the cluster")
+        if seed is not None:
+            check_at_least("train", "seed", seed, 0)
+        _train_one(load_training(config, map_file=map, seed=seed), out, resume)
+        return
+    if seed is not None:
+        raise InputError("train", "seed", "either --seed or --seeds")
+    form = "whole numbers with commas between them, as in 0,1,2"
+    chosen = parse_numbers("train", "seeds", seeds, int, form)
+    try:
+        distinct(chosen)
+    except ValueError as error:
+        raise InputError("train", "seeds", str(error)) from None
+    for one in chosen:
+        check_at_least("train", "seeds", one, 0)
+    checked = load_training(config, map_file=map)
+    if ray is not None:
+        _train_on_cluster(checked, chosen, out, resume, ray)
+        return
+    if not resume:
+        check_unbegun(out, chosen)
+    for one in chosen:
+        _train_one(checked.model_copy(update={"seed": one}), seed_folder(out, one), resume)
+
+
+def _train_one(config: "TrainingConfig", out: Path, resume: bool) -> None:
+    """Train one policy and show its progress."""
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from vssm_gym.cli.shared.progress import progress_of
-    from vssm_gym.files.output_folders import check_at_least
-    from vssm_gym.training.config import load_training
     from vssm_gym.training.train import PROGRESS, run_training
 
-    if seed is not None:
-        check_at_least("train", "seed", seed, 0)
-    checked = load_training(config, map_file=map, seed=seed)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}", markup=False))
     last: Row = {}
     with progress_of(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as show:
@@ -55,12 +91,32 @@ def train(
 
         def on_update(row: "Row", done: float) -> None:
             last.update(row)
-            show("training", done, 1.0, _summary(row, checked))
+            show("training", done, 1.0, _summary(row, config))
 
-        policy = run_training(checked, out, resume=resume, on_update=on_update)
+        policy = run_training(config, out, resume=resume, on_update=on_update)
     if last:
         say(_times(last))
-    say(f"log: {out / PROGRESS}", f"policy: {policy}", f"next: {_evaluation(policy, checked)}")
+    say(f"log: {out / PROGRESS}", f"policy: {policy}", f"next: {_evaluation(policy, config)}")
+
+
+def _train_on_cluster(config: "TrainingConfig", seeds: tuple[int, ...], out: Path, resume: bool, ray: str) -> None:
+    """Train a policy for each seed on a cluster and show how far they are together."""
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from vssm_gym.cli.shared.progress import progress_of
+    from vssm_gym.training.cluster_seeds import train_on_cluster
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}", markup=False))
+    with progress_of(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as show:
+
+        def on_update(done: float, steps: int, ended: int) -> None:
+            show("training", done, 1.0, f"{steps:,} steps, {ended} of {len(seeds)} seeds ended")
+
+        policies = train_on_cluster(config, seeds, out, ray, resume=resume, on_update=on_update)
+    say(
+        *(f"policy: {policy}" for policy in policies),
+        f"next: vssm-gym curves {shlex.quote(str(out))}/seed-* --out FILE",
+    )
 
 
 def _summary(row: "Row", config: "TrainingConfig") -> str:

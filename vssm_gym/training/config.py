@@ -29,6 +29,9 @@ FIXED = (
     "tasks",
 )
 
+# Algorithms that train in the world model only, and why
+IN_THE_MAP = {"bc": "the expert plans in its map", "ppo_jax": "its robots are part of the compiled program"}
+
 TrainedId = Literal["vssm_gym/WorldModelNav-v0", "vssm_gym/PointNav-v0", "vssm_gym/PointNavGPS-v0"]
 Whole = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -97,9 +100,12 @@ class PolicySettings(_Strict):
 
 
 class PPOSettings(_Strict):
-    """Set up proximal policy optimisation (Schulman et al., 2017) of stable-baselines3."""
+    """Set up proximal policy optimisation (Schulman et al., 2017): ``ppo`` of stable-baselines3, or ``ppo_jax``.
 
-    name: Literal["ppo"]
+    The second is a compiled program of robots, policy and updates; it trains in the world model only.
+    """
+
+    name: Literal["ppo", "ppo_jax"]
     learning_rate: Positive = 5e-4
     n_steps: Whole = 64
     batch_size: Whole = 4096
@@ -147,6 +153,15 @@ class TrainingConfig(_Strict):
     minutes: Positive | None = None
     seed: Annotated[int, Field(ge=0)] = 0
 
+    @model_validator(mode="after")
+    def _whole_batches(self) -> "TrainingConfig":
+        algorithm = self.algorithm
+        if algorithm.name == "ppo_jax":
+            taken = self.environment.num_envs * algorithm.n_steps
+            if taken % min(algorithm.batch_size, taken):
+                raise ValueError(f"a batch_size that divides num_envs x n_steps, {taken}; found {algorithm.batch_size}")
+        return self
+
 
 def load_training(path: Path, *, map_file: Path | None = None, seed: int | None = None) -> TrainingConfig:
     """Read and check a training's YAML; ``map_file`` and ``seed`` replace its own.
@@ -160,8 +175,8 @@ def load_training(path: Path, *, map_file: Path | None = None, seed: int | None 
         raise InputError(path, "map", f"no --map: {where.id} has a scene")
     if map_file is None and where.map is not None:
         map_file = beside(where.map, path.parent, MAPS)
-    if config.algorithm.name == "bc" and where.id != WORLD_MODEL:
-        raise InputError(path, "environment.id", f"{WORLD_MODEL}: the expert plans in its map")
+    if where.id != WORLD_MODEL and (why := IN_THE_MAP.get(config.algorithm.name)):
+        raise InputError(path, "environment.id", f"{WORLD_MODEL}: {why}")
     if where.id == WORLD_MODEL and map_file is None:
         raise InputError(path, "environment.map", "a map file, here or as --map; `vssm-gym map build` makes one")
     if where.id != WORLD_MODEL and where.scene is None:

@@ -112,8 +112,12 @@ def make_training_env(settings: EnvironmentSettings, parts: tuple[str, ...], see
 
     Raises :class:`InputError` for an invalid map, scene or keyword.
     """
-    drawn = {"pool_seed": seed, "show_uncertainty": "pose_std" in parts} if settings.id == WORLD_MODEL else {}
-    return PolicyView(make_observing(settings, **drawn), parts, settings.contact_cost)
+    return PolicyView(make_observing(settings, **drawn_for(settings, parts, seed)), parts, settings.contact_cost)
+
+
+def drawn_for(settings: EnvironmentSettings, parts: tuple[str, ...], seed: int) -> dict[str, Any]:
+    """Return the keywords of a world model that depend on the training's seed and its policy's inputs."""
+    return {"pool_seed": seed, "show_uncertainty": "pose_std" in parts} if settings.id == WORLD_MODEL else {}
 
 
 def make_observing(settings: EnvironmentSettings, **more: Any) -> VectorEnv:

@@ -6,6 +6,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -24,11 +25,32 @@ POLICY = "policy.npz"
 PROGRESS_BYTES = 64 << 20  # a row every five seconds for 20 days
 ROW_SECONDS, CHECKPOINT_SECONDS = 5.0, 60.0  # s between lines of the log, and between checkpoints
 
+WINDOW = 500  # episodes that means are taken over
+LEAST_RATE = 0.05  # fraction of the learning rate at the end
 ENOUGH_EPISODES = 100  # that means are taken over before they are shown: success is then known to 0.05 (one std)
 
 # Of progress.jsonl: seconds, of those preparing, steps, episodes, return, length, success, and whether they are enough
 Row = dict[str, Any]
 OnUpdate = Callable[[Row, float], None]  # a row, and the fraction of the training that is done
+
+
+@dataclass(frozen=True)
+class TrainingProgress:
+    """Hold the progress of a training.
+
+    Attributes:
+        steps: of all robots together.
+        episodes: number of episodes in the means, at most WINDOW; the means are None without any.
+        mean_return: of an episode.
+        mean_length: of an episode, steps.
+        success: proportion of successful episodes.
+    """
+
+    steps: int
+    episodes: int
+    mean_return: float | None
+    mean_length: float | None
+    success: float | None
 
 
 class Run:
@@ -171,6 +193,11 @@ class ProgressLog:
 
     def __exit__(self, *exception: object) -> None:
         self._file.close()
+
+
+def falling_rate(first: float, done: float) -> float:
+    """Return the learning rate when a fraction ``done`` of the training is over: it falls linearly to LEAST_RATE."""
+    return first * max(LEAST_RATE, 1.0 - done)
 
 
 def first_round(config: TrainingConfig) -> int:

@@ -1,9 +1,9 @@
 """Train a policy until its steps or minutes are over, and resume after interruptions: ``train CONFIG --out DIR``.
 
 The folder holds ``training.json`` (configuration, hashes, versions), ``progress.jsonl`` (one line every few seconds and
-at every checkpoint), ``checkpoint.pt`` (for ``--resume``), ``policy.npz`` (for agents) and ``logs``. Seconds count
-the whole training; those of the environment's construction and compilation, until the first step has ended, are stated
-as ``preparing`` too.
+at every checkpoint), ``checkpoint.pt`` or ``checkpoint.npz`` (for ``--resume``), ``policy.npz`` (for agents) and, of
+stable-baselines3, ``logs``. Seconds count the whole training; those of the environment's construction and compilation,
+until the first step has ended, are stated as ``preparing`` too.
 """
 
 import importlib.metadata
@@ -16,12 +16,23 @@ from vssm_gym.files.output_folders import Owner, check_folder, owned_folder
 from vssm_gym.training.cloning import DEMONSTRATIONS, clone
 from vssm_gym.training.config import TrainingConfig, training_hash
 from vssm_gym.training.environment import make_training_env, stream, world_hash
-from vssm_gym.training.run import POLICY, OnUpdate, ProgressLog, Row, Run, deferred_interrupt
+from vssm_gym.training.run import (
+    POLICY,
+    OnUpdate,
+    ProgressLog,
+    Row,
+    Run,
+    TrainingProgress,
+    deferred_interrupt,
+    falling_rate,
+)
 from vssm_gym.version import package_version
 
-MANIFEST, PROGRESS, CHECKPOINT, LOGS = "training.json", "progress.jsonl", "checkpoint.pt", "logs"
-BEGUN = (CHECKPOINT, DEMONSTRATIONS, POLICY)  # what a training resumes from, or has ended with
-LIBRARIES = ("stable_baselines3", "torch", "numpy", "jax", "gymnasium")
+MANIFEST, PROGRESS, LOGS = "training.json", "progress.jsonl", "logs"
+CHECKPOINT, JAX_CHECKPOINT = "checkpoint.pt", "checkpoint.npz"
+BEGUN = (CHECKPOINT, JAX_CHECKPOINT, DEMONSTRATIONS, POLICY)  # what a training resumes from, or has ended with
+RL_EXTRA = ("stable_baselines3", "torch")
+LIBRARIES = ("numpy", "jax", "gymnasium")
 
 
 def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_update: OnUpdate | None = None) -> Path:
@@ -41,7 +52,9 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
         InputError: the folder of another or of a running training, or an invalid map, scene or keyword.
         OutputError: a full disk or the like; the last checkpoint is kept.
     """
-    _check_extra()
+    compiled = config.algorithm.name == "ppo_jax"
+    if not compiled:
+        _check_extra()
     check_folder(out)
     manifest = _manifest(config)
     owner = Owner("training", MANIFEST, manifest, resumed=BEGUN)
@@ -53,6 +66,8 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
         run = Run(config, out, manifest, log, interrupted, on_update or (lambda row, fraction: None))
         if config.algorithm.name == "bc":
             clone(run)
+        elif compiled:
+            _reinforce_compiled(run)
         else:
             _reinforce(run)
     if interrupted():
@@ -98,7 +113,30 @@ def _reinforce(run: Run) -> None:
         env.close()
 
 
-def _row(now: Any) -> Row:
+def _reinforce_compiled(run: Run) -> None:
+    """Train by PPO in one compiled program."""
+    from vssm_gym.training.ppo_jax.learner import Learner
+
+    config, checkpoint, learner = run.config, run.out / JAX_CHECKPOINT, Learner(run.config)
+    assert config.algorithm.name == "ppo_jax"
+    if checkpoint.is_file():
+        seconds = learner.restore(checkpoint)
+        run.resume(learner.steps, seconds)
+    else:
+        run.begin()
+
+    def keep() -> None:
+        run.write_policy(learner.policy_layers(), "clip")
+        learner.save(checkpoint, run.seconds)
+
+    while learner.steps < config.steps and not run.over():
+        learner.update(falling_rate(config.algorithm.learning_rate, run.fraction_done()))
+        run.stepped()
+        run.report(_row(learner.progress()) | learner.statistics, keep)
+    run.end(_row(learner.progress()), keep)
+
+
+def _row(now: TrainingProgress) -> Row:
     number = lambda value: None if value is None else round(value, 4)
     return {
         "steps": now.steps,
@@ -110,16 +148,17 @@ def _row(now: Any) -> Row:
 
 
 def _check_extra() -> None:
-    if not all(importlib.util.find_spec(name) for name in LIBRARIES[:2]):
+    if not all(importlib.util.find_spec(name) for name in RL_EXTRA):
         raise InputError("train", "stable-baselines3", 'the extra "rl": pip install -c constraints.txt ".[rl]"')
 
 
 def _manifest(config: TrainingConfig) -> dict[str, Any]:
     world = world_hash(config.environment)
+    libraries = LIBRARIES if config.algorithm.name == "ppo_jax" else (*RL_EXTRA, *LIBRARIES)
     return {
         "config": config.model_dump(mode="json"),
         "config_hash": training_hash(config, world),
         "world_hash": world,
         "version": package_version(),
-        "libraries": {name: importlib.metadata.version(name) for name in LIBRARIES},
+        "libraries": {name: importlib.metadata.version(name) for name in libraries},
     }

@@ -132,6 +132,7 @@ def test_a_changed_task_changes_its_episode_alone(tasks, sampler, oak):
     assert new["shortest_paths"] is None
     fewer, more = (file.with_tasks(some, sampler).content["episodes"] for some in (others[:4], [*others, moved]))
     assert len(fewer) == 4 and len(more) == 7 and more[6]["scene_id"] == "data/scene_datasets/gibson/oak.glb"
+    assert len({str(episode["episode_id"]) for episode in more}) == 7
 
 
 def test_scenes_of_a_file_are_kept_apart(tasks, oak):

@@ -5,6 +5,7 @@ from tests.mutants.mutant import Mutant
 POSES, OF_POSES = "eval/metrics/pose_calibration.py", "tests/eval/test_pose_calibration.py"
 OF_TRUST = "tests/agents/test_trust.py"
 AGGREGATE, OF_AGGREGATE = "eval/metrics/aggregate.py", "tests/eval/test_aggregate.py"
+OF_RESAMPLING = "tests/eval/test_resampling.py"
 OF_MATCHING = "tests/eval/studies/scan_graph/test_matching.py"
 
 EVALUATION = (
@@ -25,16 +26,30 @@ EVALUATION = (
     Mutant(
         "bootstrap-over-episodes-for-tasks",
         AGGREGATE,
-        "cluster_of.setdefault(task, len(cluster_of)) for task in tasks",
-        "cluster_of.setdefault((task, i), len(cluster_of)) for i, task in enumerate(tasks)",
+        "resampling.scores(np.asarray(values, np.float64), tasks,",
+        "resampling.scores(np.asarray(values, np.float64), range(len(values)),",
         (f"{OF_AGGREGATE}::test_seeds_of_one_task_count_as_one_task",),
     ),
     Mutant(
         "bootstrap-not-paired",
         AGGREGATE,
-        "[of_first[key][0] - of_second[key][0] for key in shared]",
-        "[of_first[key][0] - other[0] for key, other in zip(shared, reversed(of_second.values()))]",
+        "zip(first, second, strict=True)",
+        "zip(first, second[::-1], strict=True)",
         (f"{OF_AGGREGATE}::test_the_paired_difference_is_exact_where_it_is_constant",),
+    ),
+    Mutant(
+        "bootstrap-of-one-training",
+        AGGREGATE,
+        "[0] * len(values) if runs is None else runs",
+        "[0] * len(values)",
+        (f"{OF_RESAMPLING}::test_where_runs_alone_differ_the_interval_is_that_of_student",),
+    ),
+    Mutant(
+        "interquartile-mean-of-too-many",
+        "eval/metrics/resampling.py",
+        "np.floor(TRIMMED * upper[:, -1:])",
+        "np.floor(0.5 * TRIMMED * upper[:, -1:])",
+        (f"{OF_RESAMPLING}::test_the_interquartile_mean_is_that_of_scipy",),
     ),
     Mutant(
         "proportions-with-a-uniform-prior",

@@ -44,10 +44,11 @@ def print_results(log: Path) -> None:
     from vssm_gym.eval.episodes.log import read_rows
     from vssm_gym.eval.metrics import aggregate
     from vssm_gym.eval.metrics.registry import measured
+    from vssm_gym.eval.metrics.training_runs import by_method
     from vssm_gym.eval.protocols.registry import view_of
 
     console = literal_console()
-    all_rows = [measured(row) for row in read_rows(log)]
+    all_rows = by_method(measured(row) for row in read_rows(log))
     for (env, *condition), rows in aggregate.group_rows(all_rows, ("env", "scene", "noise", "physics")).items():
         columns = view_of(env).summary
         title = " · ".join(map(shortened, condition))

@@ -1,1 +1,1 @@
-"""Commands on the folders of sweeps: merge shards, reproduce rows."""
+"""Commands on the folders of sweeps: merge shards, reproduce rows, run the benchmark."""

@@ -1,4 +1,4 @@
-"""Run ``vssm-gym reproduce FOLDER --out DIR``: rows of a finished sweep once more."""
+"""Run ``vssm-gym reproduce FOLDER --out DIR``: rows of a finished sweep or study once more."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,23 +18,24 @@ def reproduce(
     scenes: tuple[str, ...] = (),
     workers: int = 2,
 ) -> None:
-    """Run rows of a finished sweep again and demand the same outcomes; exit status 1 if one differs.
+    """Run rows of a finished sweep or study again and demand the same outcomes; exit status 1 if one differs.
 
-    The rows are spread evenly over the sweep. Each is compared field by field: numbers within the tolerance, everything
-    else exactly; the first field that differs is printed. OUT gets the sweep of the rows that were run.
+    The rows are spread evenly over all. Each is compared field by field: numbers within the tolerance, everything else
+    exactly; the first field that differs is printed. OUT gets the rows that were run. Policies NAME@HASH of a sweep are
+    looked for in FOLDER/policies.
 
     Args:
-        folder: of the sweep, such as eval/baselines/navigation_levels.
+        folder: of the sweep, such as eval/baselines/navigation_levels, or of a study, such as eval/baselines/maze_slam.
         out: new or empty folder.
         episodes: rows to run.
         tolerance: of numbers, absolute below 1 and relative above.
         scenes: files of scenes that are not built in, as the sweep's configuration named them.
-        workers: number of processes that run episodes.
+        workers: number of processes that run episodes; a study's rows run one after the other.
     """
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.envs.scenes.specs import scene_name
     from vssm_gym.errors import InputError
-    from vssm_gym.eval.reproduction.sweep_rows import reproduce as run
+    from vssm_gym.eval.reproduction.registry import reproduce as run
     from vssm_gym.files.output_folders import check_at_least, check_folder
 
     check_at_least("reproduce", "episodes", episodes, 1)
@@ -45,8 +46,7 @@ def reproduce(
         found = run(folder, out, episodes, tolerance, {scene_name(scene): scene for scene in scenes}, workers, progress)
     different = [one for one in found if one.difference is not None]
     for one in different:
-        row = one.row
-        say(f"{row['scene']}, {row['agent']}, noise {row['noise']}, task {row['task']}: {one.difference}")
+        say(f"{one.name}: {one.difference}")
     say(f"{len(found) - len(different)} of {len(found)} rows have the same outcome within {tolerance:g}")
     if different:
         raise SystemExit(1)

@@ -29,3 +29,8 @@ def scene_name(spec: str) -> str:
         return Path(spec).stem
     path, line = found
     return f"{path.name.removesuffix('.gz').removesuffix('.jsonl')}-{line}"
+
+
+def spec_of_name(name: str) -> str:
+    """Return how a scene is asked for whose name in rows is given: the inverse of :func:`scene_name` without a file."""
+    return name.replace("-", ":") if name.startswith(PREFIX.replace(":", "-")) else name

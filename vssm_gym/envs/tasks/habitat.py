@@ -12,7 +12,7 @@ heights, ids, shortest paths and fields that are not known here come back as the
 
 import gzip
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -114,14 +114,17 @@ class HabitatFile:
 
         An episode whose start and goal are those of the task with its number stays as it is. In another one they are
         replaced, with the distance and without the shortest paths of the former ones; episodes beyond the tasks are
-        left out, and tasks beyond the episodes are added at the end. Episodes of other scenes stay.
+        left out, and tasks beyond the episodes are added at the end, numbered from the file's highest number on where
+        theirs is taken. Episodes of other scenes stay.
         """
         positions = self.of_scene(sampler.scene if scene_id is None else scene_id)
         episodes: list[Any] = list(self.content["episodes"])
         name = episodes[positions[0]]["scene_id"]
         for number, task in enumerate(tasks):
             if number >= len(positions):
-                episodes.append(episode_of(task, sampler, name))
+                taken = {str(episode["episode_id"]) for episode in episodes}
+                added = episode_of(task, sampler, name)
+                episodes.append(added if added["episode_id"] not in taken else added | {"episode_id": _unused(taken)})
                 continue
             kept = episodes[positions[number]]
             if endpoints(kept) != (task.start, task.goal):
@@ -129,6 +132,11 @@ class HabitatFile:
         dropped = set(positions[len(tasks) :])
         kept_episodes = [episode for position, episode in enumerate(episodes) if position not in dropped]
         return HabitatFile(self.source, self.content | {"episodes": kept_episodes})
+
+
+def _unused(taken: Collection[str]) -> str:
+    """Return the number after the highest one of some texts."""
+    return str(1 + max((int(one) for one in taken if one.isascii() and one.isdigit()), default=-1))
 
 
 def read_habitat(path: str | Path) -> HabitatFile:

@@ -7,7 +7,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from vssm_gym.training.sb3.learner import ACTIVATIONS, LEAST_RATE
+from vssm_gym.training.run import LEAST_RATE
+from vssm_gym.training.sb3.learner import ACTIVATIONS
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 

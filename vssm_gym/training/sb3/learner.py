@@ -8,7 +8,6 @@ import importlib.util
 import io
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,32 +24,12 @@ from torch import nn
 
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
+from vssm_gym.training.run import WINDOW, TrainingProgress, falling_rate
 from vssm_gym.training.sb3.vec_env import SB3VecEnv
 
-WINDOW = 500  # episodes that means are taken over
-LEAST_RATE = 0.05  # fraction of the learning rate at the end
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 COUNTERS = ("num_timesteps", "_n_updates")  # what a checkpoint restores by name, and nothing else
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-@dataclass(frozen=True)
-class TrainingProgress:
-    """Hold the progress of a training.
-
-    Attributes:
-        steps: of all robots together.
-        episodes: number of episodes in the means, at most WINDOW; the means are None without any.
-        mean_return: of an episode.
-        mean_length: of an episode, steps.
-        success: proportion of successful episodes.
-    """
-
-    steps: int
-    episodes: int
-    mean_return: float | None
-    mean_length: float | None
-    success: float | None
 
 
 def wrapped(env: VectorEnv, frames: int) -> VecEnv:
@@ -92,7 +71,7 @@ def make_model(
         "MlpPolicy",
         env,
         # The schedule's own argument counts steps only, not time
-        learning_rate=lambda _: rate * max(LEAST_RATE, 1.0 - fraction_done()),
+        learning_rate=lambda _: falling_rate(rate, fraction_done()),
         policy_kwargs=network,
         seed=seed,
         device="cpu",  # networks this small are slower anywhere else

@@ -1,0 +1,1 @@
+"""Score world models by the density of what they predict: those of the package, and one run."""

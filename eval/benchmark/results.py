@@ -1,0 +1,168 @@
+"""Read the rows of a benchmark's folder, of this run or of the committed references, and rank their entries."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from vssm_gym.envs.registration import ENVIRONMENTS
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.validation import StrictModel, validated
+from vssm_gym.eval.bench.prediction.run import HORIZONS
+from vssm_gym.eval.bench.slam import FRAME_RATE
+from vssm_gym.eval.benchmark.scores import SCORES, Line, Score, line
+from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTrack, Suite, Track
+from vssm_gym.eval.benchmark.units import ROWS, UnitRow
+from vssm_gym.eval.episodes.log import FILE
+from vssm_gym.eval.episodes.log import read_rows as read_episodes
+from vssm_gym.eval.studies.row_file import read_rows
+from vssm_gym.eval.sweep.config import expand
+from vssm_gym.files.json_file import read_json
+from vssm_gym.geometry.car import Car
+
+MANIFEST = "benchmark.json"
+REFERENCES = Path(__file__).parents[1] / "baselines" / "benchmark"
+"""Folders of runs that are committed, each as the command has left it, without maps and recordings."""
+STEPS = {"holonomic": HolonomicRobot().dt, "car": Car().dt}  # s that a robot has for a decision
+
+
+class Entrant(StrictModel):
+    """Hold what a manifest states of an entry: what it is, what it is given, a hash of its own code, and its tracks."""
+
+    label: str
+    kind: Literal["agent", "slam", "predictor"]
+    needs_pose: bool = False
+    needs_map: bool = False
+    code: str | None = None
+    tracks: tuple[str, ...]
+
+
+class Manifest(StrictModel):
+    """Hold what a benchmark's folder states: suite, hashes of its tracks, entries, version and machine."""
+
+    suite: str
+    suite_hash: str
+    tracks: dict[str, str]
+    entries: tuple[Entrant, ...]
+    version: str
+    machine: dict[str, Any]
+    load: float | None = None  # processes that ran or waited when it began: times on a busy machine are longer
+
+
+@dataclass(frozen=True)
+class Place:
+    """Hold a line of a table with its place in it.
+
+    Attributes:
+        line: of the entry.
+        entrant: the entry.
+        rank: from 1; None of an entry that is not ranked, because it is given the true pose where others estimate it.
+        reference: whether it is of the committed references.
+    """
+
+    line: Line
+    entrant: Entrant
+    rank: int | None
+    reference: bool
+
+
+@dataclass(frozen=True)
+class Table:
+    """Hold a track's table."""
+
+    name: str
+    track: Track
+    score: Score
+    step: float | None  # s that a decision may take in real time
+    places: tuple[Place, ...]  # ranked ones first, in order
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Return what a benchmark's folder states; raise :class:`InputError` for another folder."""
+    path = folder / MANIFEST
+    return validated(Manifest, read_json(path, expected="the JSON that a benchmark wrote"), path)
+
+
+def references_of(suite: Suite, out: Path) -> dict[Path, Manifest]:
+    """Return the committed runs with rows of a track of a suite, and what they state; a run in ``out`` is none."""
+    found = {path.parent: read_manifest(path.parent) for path in sorted(REFERENCES.glob(f"*/{MANIFEST}"))}
+    hashes = {(name, suite.track_hash(name)) for name in suite.tracks}
+    return {
+        folder: manifest
+        for folder, manifest in found.items()
+        if hashes & set(manifest.tracks.items()) and folder.resolve() != out.resolve()
+    }
+
+
+def tables(suite: Suite, out: Path, references: Mapping[Path, Manifest]) -> list[Table]:
+    """Return the tables of the tracks in which the folder of a run has rows, with the references' lines."""
+    found = []
+    for name, track in suite.tracks.items():
+        lines = [(line, entrant, False) for line, entrant in _lines(name, track, out, read_manifest(out))]
+        if not lines:
+            continue
+        for folder, manifest in references.items():
+            if manifest.tracks.get(name) == suite.track_hash(name):
+                lines += [(line, entrant, True) for line, entrant in _lines(name, track, folder, manifest)]
+        found.append(Table(name, track, score_of(track), step_of(track), _placed(lines, track)))
+    return found
+
+
+def score_of(track: Track) -> Score:
+    """Return the headline score of a track."""
+    return SCORES[track.score if isinstance(track, DrivingTrack) else "ate" if isinstance(track, SlamTrack) else "nats"]
+
+
+def step_of(track: Track) -> float | None:
+    """Return the time that a decision may take, s: a robot's step, a camera's period, or until what is predicted."""
+    if isinstance(track, DrivingTrack):
+        return STEPS.get(ENVIRONMENTS[track.config().env[0]].robot)
+    return 1.0 / FRAME_RATE if isinstance(track, SlamTrack) else min(HORIZONS)
+
+
+def _lines(name: str, track: Track, folder: Path, manifest: Manifest) -> list[tuple[Line, Entrant]]:
+    """Return the lines of a folder's entries in a track, if it was run there."""
+    path = folder / name / (FILE if isinstance(track, DrivingTrack) else ROWS)
+    if not path.is_file():
+        return []
+    if isinstance(track, DrivingTrack):
+        rows, field, count = read_episodes(path), "agent", len(list(expand(track.config())))
+    else:
+        rows, field = read_rows(path, UnitRow), "entry"
+        count = len(track.scenes) * track.drives if isinstance(track, PredictionTrack) else len(track.recordings)
+    entrants = [entrant for entrant in manifest.entries if name in entrant.tracks]
+    of = {entrant.label: [row for row in rows if row[field] == entrant.label] for entrant in entrants}
+    return [(line(one.label, of[one.label], score_of(track), count), one) for one in entrants]
+
+
+def _placed(lines: Sequence[tuple[Line, Entrant, bool]], track: Track) -> tuple[Place, ...]:
+    """Rank lines by their score; those that do not count stand after the others."""
+    sign = -1.0 if score_of(track).direction == "higher" else 1.0
+    apart = isinstance(track, DrivingTrack) and track.pose == "estimated"
+    order = sorted(lines, key=lambda found: (apart and found[1].needs_pose, sign * found[0].score.mean))
+    places = []
+    for number, (found, entrant, reference) in enumerate(order, start=1):
+        ranked = not (apart and entrant.needs_pose)
+        places.append(Place(found, entrant, number if ranked else None, reference))
+    return tuple(places)
+
+
+def as_json(table: Table) -> dict[str, Any]:
+    """Return a table as plain values: entries by label, those of the references apart."""
+    groups: dict[str, dict[str, Any]] = {"entries": {}, "references": {}}
+    for place in table.places:
+        values = asdict(place.line) | {"rank": place.rank, "needs_pose": place.entrant.needs_pose}
+        values |= {"needs_map": place.entrant.needs_map, "score": _interval(asdict(place.line.score))}
+        del values["entry"]
+        groups["references" if place.reference else "entries"][place.line.entry] = values
+    stated = {"score": table.score.label, "better": table.score.direction, "step": table.step}
+    return {**stated, **{name: group for name, group in groups.items() if group}}
+
+
+def _interval(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an interval with None for a bound that there is not."""
+    return {
+        name: None if isinstance(value, float) and not np.isfinite(value) else value for name, value in values.items()
+    }

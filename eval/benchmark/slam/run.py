@@ -1,0 +1,145 @@
+"""Run a SLAM method on a recording, image by image, and compare its trajectory with the true one."""
+
+import hashlib
+import time
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from vssm_gym.data.recording import record_handheld, record_wandering
+from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
+from vssm_gym.errors import InputError
+from vssm_gym.eval.bench.slam import ASTRAY_ERROR, FRAME_RATE
+from vssm_gym.eval.benchmark.entries import find_entry
+from vssm_gym.eval.benchmark.suite import Recording
+from vssm_gym.eval.sweep.supervision import Supervisor
+from vssm_gym.files.bounded import read_bytes
+from vssm_gym.progress import OnProgress
+from vssm_gym.slam import trajectory_error
+from vssm_gym.slam.run import thin
+
+WARM = 5  # images at the beginning whose time is not counted: methods compile or allocate
+TRUTH, TRUTH_BYTES = "groundtruth.txt", 16 << 20  # of a recording, and its largest size
+
+
+@dataclass(frozen=True)
+class SlamUnit:
+    """Hold one run: an entry, a recording and the time that the entry may use, s."""
+
+    entry: str  # label
+    reference: str
+    recording: Recording
+    folder: Path  # of the recording
+    seconds: float
+
+    @property
+    def unit(self) -> str:
+        """Return the recording's name."""
+        return self.recording.name
+
+
+def ensure_recording(recording: Recording, folder: Path, on_progress: OnProgress | None = None) -> Path:
+    """Return the folder of a recording inside ``folder``; make it if it is not there."""
+    path = folder / recording.name
+    if path.is_dir():
+        return path
+    shared: Any = {"sensor_noise": recording.sensor_noise, "seed": recording.seed, "on_progress": on_progress}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if recording.motion == "handheld":
+        record_handheld(recording.scene, path, metres=recording.length, rate=FRAME_RATE, **shared)
+    else:
+        record_wandering(recording.scene, path, seconds=recording.length, noise=recording.noise, **shared)
+    return path
+
+
+def run_recording(unit: SlamUnit) -> dict[str, Any]:
+    """Run the entry of a unit on its recording, and return the row."""
+    sequence = load_sequence(unit.folder)
+    reader, indices = _reader(unit.folder), thin(sequence.times, FRAME_RATE)
+    times = sequence.times[indices]
+    supervisor, method = Supervisor(unit.seconds), find_entry(unit.reference).make()
+    supervisor.call(lambda: method.begin(reader.camera, unit.recording.seed))
+    poses: list[np.ndarray] = []
+    seconds: list[float] = []
+    for index, stamp in zip(indices, times - times[0], strict=True):
+        rgb, depth = reader[index]
+        began = time.perf_counter()
+        found: Any = supervisor.call(partial(method.track, float(stamp), rgb, depth))
+        seconds.append(time.perf_counter() - began)
+        pose = _pose(found)
+        if pose is None:
+            supervisor.fail(f"track was expected to return a rigid pose (4, 4); found {found!r:.80}")
+            break
+        poses.append(pose)
+    online, final = np.array(poses), None
+    if supervisor.fault is None:
+        final = _final(supervisor, method, online)
+    assert sequence.truth is not None
+    still = _still(sequence, times)
+    ate = still if final is None else min(_ate(sequence, times, final), still)
+    return {
+        "score": ate,
+        "success": supervisor.fault is None and ate <= ASTRAY_ERROR,
+        "fault": supervisor.fault,
+        "p95": float(np.percentile(seconds[WARM:], 95)) if len(seconds) > WARM else None,
+        "measured": {} if final is None else {"ate_online": _ate(sequence, times, online), "images": float(len(times))},
+        "content": hashlib.sha256(read_bytes(unit.folder / TRUTH, TRUTH_BYTES)).hexdigest()[:16],
+    }
+
+
+def standing_still(unit: SlamUnit) -> float:
+    """Return the error of a camera that never moves, m: what a failure is worth."""
+    sequence = load_sequence(unit.folder)
+    return _still(sequence, sequence.times[thin(sequence.times, FRAME_RATE)])
+
+
+def _still(sequence: Sequence, times: np.ndarray) -> float:
+    return _ate(sequence, times, np.tile(np.eye(4), (len(times), 1, 1)))
+
+
+@lru_cache(maxsize=1)
+def _reader(folder: Path) -> FrameReader:
+    return FrameReader(load_sequence(folder))
+
+
+def _final(supervisor: Supervisor, method: Any, online: np.ndarray) -> np.ndarray | None:
+    """Return the poses that a method knows in the end; None where it fails."""
+    found = supervisor.call(method.finish)
+    if supervisor.fault is not None:
+        return None
+    if found is None:
+        return online
+    poses = [_pose(one) for one in found] if np.shape(found) == online.shape else [None]
+    if any(pose is None for pose in poses):
+        supervisor.fail(f"finish was expected to return None or rigid poses {online.shape}; found {np.shape(found)}")
+        return None
+    return np.array(poses)
+
+
+def _pose(found: Any) -> Float[np.ndarray, "4 4"] | None:
+    """Return a rigid pose as float64; None for anything else."""
+    if np.shape(found) != (4, 4):
+        return None
+    pose = np.asarray(found, np.float64)
+    R, last = pose[:3, :3], pose[3]
+    rigid = np.isfinite(pose).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0
+    return pose if rigid and np.allclose(last, [0.0, 0.0, 0.0, 1.0], atol=1e-6) else None
+
+
+def _ate(sequence: Sequence, times: np.ndarray, poses: np.ndarray) -> float:
+    """Return the RMSE of the positions after SE(3) alignment, m.
+
+    A trajectory in one place, or on one line, has no unique alignment: the best one is of the middles alone.
+    """
+    assert sequence.truth is not None
+    of_est, of_true = trajectory_error.associate(times, sequence.truth[0])
+    est, true = poses[of_est], sequence.truth[1][of_true]
+    try:
+        return trajectory_error.Statistics.of(trajectory_error.ate(est, true).translation).rmse
+    except InputError:
+        off = (est[:, :3, 3] - est[:, :3, 3].mean(axis=0)) - (true[:, :3, 3] - true[:, :3, 3].mean(axis=0))
+        return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

@@ -1,0 +1,110 @@
+"""Run the units of SLAM and prediction in a process of their own, one after the other, and keep a row of each.
+
+A unit whose process dies, or does not return, is a failure of its entry; the next one gets a new process.
+"""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from vssm_gym.envs.validation import StrictModel
+from vssm_gym.errors import InputError, OutputError
+from vssm_gym.eval.studies.row_file import read_rows
+from vssm_gym.eval.sweep import worker
+from vssm_gym.files.line_file import LineFile
+from vssm_gym.progress import OnProgress
+from vssm_gym.version import package_version
+
+ROWS = "rows.jsonl"
+
+
+class UnitRow(StrictModel):
+    """Hold what a unit has measured.
+
+    ``score`` is the track's, also of a failure; ``p95`` seconds of a decision; ``content`` a hash of what it was given.
+    """
+
+    entry: str
+    unit: str
+    score: float
+    success: bool
+    fault: str | None
+    p95: float | None
+    measured: dict[str, float]
+    content: str | None
+    version: str
+
+
+class _Unit(Protocol):
+    """Describe a unit: an entry's label and the name of what it runs on."""
+
+    @property
+    def entry(self) -> str: ...
+
+    @property
+    def unit(self) -> str: ...
+
+
+U = TypeVar("U", bound=_Unit)
+
+
+def run_units(
+    units: Sequence[U],
+    run: Callable[[U], dict[str, Any]],
+    worst: Callable[[U], float],
+    folder: Path,
+    on_progress: OnProgress | None = None,
+) -> Path:
+    """Run the units that have no row in ``folder`` yet; return the file of the rows.
+
+    Args:
+        units: to be run, in order.
+        run: runs one, in another process: a function at the top level of a module.
+        worst: the score of a unit whose process has died.
+        folder: that keeps the rows.
+        on_progress: called with ("runs", done, total).
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / ROWS
+    done = {(row["entry"], row["unit"]) for row in read_rows(path, UnitRow)}
+    keep = path.read_bytes().rfind(b"\n") + 1 if path.is_file() else None
+    pool: ProcessPoolExecutor | None = None
+    try:
+        with LineFile(path, keep=keep) as file:
+            for number, unit in enumerate(units):
+                if on_progress:
+                    on_progress("runs", number, len(units))
+                if (unit.entry, unit.unit) in done:
+                    continue
+                pool = pool or _pool()
+                try:
+                    found = pool.submit(run, unit).result()
+                except BrokenProcessPool:
+                    pool.shutdown(wait=False)
+                    pool, fault = None, "its process has died, or did not return"
+                    found = {"score": worst(unit), "success": False, "fault": fault, "p95": None, "measured": {}}
+                    found["content"] = None
+                row = UnitRow(entry=unit.entry, unit=unit.unit, version=package_version(), **found)
+                file.append(row.model_dump_json().encode() + b"\n", sync=True)
+    except (InputError, OutputError) as error:
+        raise error.with_traceback(None) from None
+    finally:
+        if pool is not None:
+            processes = list((pool._processes or {}).values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:  # one that runs would hold up an interrupted command
+                process.terminate()
+    if on_progress:
+        on_progress("runs", len(units), len(units))
+    return path
+
+
+def _pool() -> ProcessPoolExecutor:
+    """Start a process with one thread, as those of sweeps are, so that times can be compared."""
+    with worker.single_threaded_children():
+        pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=worker.initialise)
+        pool.submit(int).result()  # started while the limits hold
+    return pool

@@ -1,0 +1,44 @@
+"""Find out what a folder holds, a sweep or the rows of a study, and run some of its rows again."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.log import FILE
+from vssm_gym.eval.reproduction.comparison import Reproduced
+from vssm_gym.eval.reproduction.studies import STUDIES
+from vssm_gym.eval.reproduction.study_rows import reproduce_study
+from vssm_gym.eval.reproduction.sweep_rows import reproduce_sweep
+from vssm_gym.progress import OnProgress
+
+
+def reproduce(
+    folder: Path,
+    out: Path,
+    most: int,
+    tolerance: float,
+    scenes: Mapping[str, str],
+    workers: int = 2,
+    on_progress: OnProgress | None = None,
+) -> list[Reproduced]:
+    """Run at most so many rows of a folder again, spread evenly over it, and compare their outcomes.
+
+    Args:
+        folder: of a sweep, or of a study of :data:`STUDIES`.
+        out: new or empty folder for the rows as they are now.
+        most: rows at most.
+        tolerance: of numbers, absolute below 1 and relative above.
+        scenes: files of a sweep's scenes that are not built in, by name.
+        workers: processes of a sweep; the rows of a study run one after the other.
+        on_progress: as of :func:`reproduce_sweep` and :func:`reproduce_study`.
+
+    Raises:
+        InputError: neither a sweep nor such a study, or what a row needs is not there.
+    """
+    if (folder / FILE).is_file() or not folder.is_dir():
+        return reproduce_sweep(folder, out, most, tolerance, scenes, workers, on_progress)
+    for kind in STUDIES:
+        if kind.rows(folder):
+            return reproduce_study(kind, folder, out, most, tolerance, on_progress)
+    known = ", ".join(dict.fromkeys([FILE, *(kind.file for kind in STUDIES)]))
+    raise InputError(folder, "folder", f"a sweep or a study whose rows can be run again ({known})")

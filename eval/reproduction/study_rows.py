@@ -1,0 +1,80 @@
+"""Run some rows of a study again, one by one, and compare each; a kind of study says how one row is run."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.eval.reproduction.comparison import Reproduced, first_difference, spread_evenly
+from vssm_gym.files.bounded import read_bytes
+from vssm_gym.files.json_file import parse_json_lines
+from vssm_gym.files.line_file import LineFile
+from vssm_gym.files.output_folders import Owner, owned_folder
+from vssm_gym.progress import OnProgress
+from vssm_gym.version import package_version
+
+STUDY_BYTES = 64 << 20  # of a file of rows; those of the package have 0.3 MB
+Figures = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class StudyRows:
+    """Define the rows of a kind of study.
+
+    Attributes:
+        name: of the study, for messages.
+        file: of the rows in the study's folder, one JSON object a line.
+        identity: fields that say what was run; a row that has them all is of this kind, and any other is left out.
+        again: runs a row's identity and conditions once more; returns its figures. It may raise InputError.
+        made_by: fields that say by what, when and how fast a row was made, and are not compared.
+        release: called after every row: what many runs pile up in a process.
+    """
+
+    name: str
+    file: str
+    identity: tuple[str, ...]
+    again: Callable[[Figures], Figures]
+    made_by: frozenset[str]
+    release: Callable[[], None] = field(default=lambda: None)
+
+    def rows(self, folder: Path) -> list[dict[str, Any]]:
+        """Return the rows of this kind that a folder holds."""
+        if not (folder / self.file).is_file():
+            return []
+        data = read_bytes(folder / self.file, STUDY_BYTES)
+        found = [row for _, row in parse_json_lines(data, folder / self.file, "a row of a study")]
+        return [row for row in found if set(self.identity) <= row.keys()]
+
+    def words(self, row: Figures) -> str:
+        """Return what was run in words."""
+        return ", ".join(f"{name} {row[name]}" for name in self.identity)
+
+
+def reproduce_study(
+    kind: StudyRows, folder: Path, out: Path, most: int, tolerance: float, on_progress: OnProgress | None = None
+) -> list[Reproduced]:
+    """Run rows of a study again, spread evenly over it, write them to ``out``, and compare them.
+
+    Args:
+        kind: of the study.
+        folder: with its file of rows, one of this kind at least.
+        out: new or empty folder; it gets the rows as they are now, under the same name.
+        most: rows at most.
+        tolerance: see :func:`first_difference`.
+        on_progress: called with ("rows", done, rows).
+    """
+    chosen, outcome = spread_evenly(kind.rows(folder), most), []
+    owner = Owner("reproduce", "reproduce.json", {"study": kind.name, "version": package_version()}, identity=())
+    with owned_folder(out, owner), LineFile(out / kind.file) as file:
+        for done, row in enumerate(chosen):
+            if on_progress:
+                on_progress("rows", done, len(chosen))
+            found = dict(kind.again(row))
+            file.append((json.dumps({name: row[name] for name in kind.identity} | found) + "\n").encode())
+            compared = {
+                name: value for name, value in row.items() if name not in kind.made_by and name not in kind.identity
+            }
+            outcome.append(Reproduced(kind.words(row), first_difference(compared, found, tolerance)))
+            kind.release()
+    return outcome

@@ -1,0 +1,162 @@
+"""Test the benchmark as a whole: a stranger's agent enters, a crashing one fails in the table, and runs resume."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.helpers.sweeps.benchmark_suites import write_agents, write_suite
+from vssm_gym.agents import registry
+from vssm_gym.errors import InputError
+from vssm_gym.eval.benchmark import results
+from vssm_gym.eval.benchmark.results import MANIFEST
+from vssm_gym.eval.benchmark.run import PAGE, RESULTS, run_benchmark
+from vssm_gym.eval.benchmark.suite import SUITES, read_suite
+from vssm_gym.eval.episodes.log import FILE, read_rows
+from vssm_gym.eval.report.page import write_report
+from vssm_gym.eval.sweep import runner, worker
+
+
+@pytest.fixture
+def in_process(tmp_path, monkeypatch):
+    """Run episodes in this process, and forget what strangers registered."""
+
+    def run(jobs, log, *rest):
+        for job in jobs:
+            log.append(worker.run(job))
+
+    monkeypatch.setattr(registry, "AGENTS", dict(registry.AGENTS))
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(runner, "_run", run)
+    monkeypatch.setattr(worker, "_agent", worker._agent.__wrapped__)
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if name.startswith("strangers_"):
+            del sys.modules[name]
+
+
+def test_a_strangers_agent_enters_beside_a_crashing_one_and_one_of_the_package(in_process):
+    suite, agents, out = write_suite(in_process), write_agents(in_process), in_process / "out"
+    entries = [f"{agents}:Straight", f"{agents}:Crashing", "random", "vi_mpc"]
+    page = run_benchmark(suite, entries, out, tracks=["mapping"])
+    found = json.loads((out / RESULTS).read_text())
+    assert found["suite"] == "rooms"
+    assert {"processor", "cores", "accelerator"} <= found["machine"].keys()
+    table = found["tracks"]["mapping"]["entries"]
+    assert table.keys() == {"strangers_straight", "strangers_crash", "random"}  # the car's agent has its own track
+    assert table["strangers_crash"]["score"]["mean"] == 0.0
+    assert table["strangers_crash"]["faults"] == {"ArithmeticError: no answer": 2}
+    assert table["strangers_straight"]["faults"] == {}
+    assert table["strangers_straight"]["p95"] < 0.2
+    rows = read_rows(out / "mapping" / FILE)
+    straight = [row["spl"] for row in rows if row["agent"] == "strangers_straight"]
+    assert table["strangers_straight"]["score"]["mean"] == pytest.approx(np.mean(straight))
+    crashed = [row for row in rows if row["agent"] == "strangers_crash"]
+    assert {row["failure"] for row in crashed} == {"fault: ArithmeticError: no answer"}
+    assert all(row["steps"] == 3 for row in crashed)
+    text = page.read_text()
+    assert "- strangers_crash: 2 of 2 runs: ArithmeticError: no answer" in text
+    assert re.search(r"\| \d \| \*\*strangers_straight\*\* \| ", text)
+    assert write_report(out / "mapping", 0, None).is_file()
+
+
+def test_a_folder_resumes_only_the_same_suite_and_entries(in_process):
+    suite, agents, out = write_suite(in_process), write_agents(in_process), in_process / "out"
+    run_benchmark(suite, [f"{agents}:Straight"], out)
+    log = out / "mapping" / FILE
+    before = log.read_bytes()
+    with pytest.raises(InputError, match=r"it holds mapping \(--resume continues it"):
+        run_benchmark(suite, [f"{agents}:Straight"], out)
+    with pytest.raises(InputError, match=r"benchmark\.json: entries: expected"):
+        run_benchmark(suite, [f"{agents}:Straight", "random"], out, resume=True)
+    assert log.read_bytes() == before
+    log.write_bytes(before[: before.index(b"\n") + 1])
+    run_benchmark(suite, [f"{agents}:Straight"], out, resume=True)
+    again = read_rows(log)
+    assert [row["task"] for row in again] == [0, 1]
+    assert json.loads(before.splitlines()[1])["path_length"] == again[1]["path_length"]
+
+
+def test_episodes_that_a_dead_process_lost_are_failures(in_process, monkeypatch):
+    suite, out = write_suite(in_process), in_process / "out"
+
+    def die(jobs, log, *rest):
+        log.append(worker.run(jobs[0]))
+        raise worker.WorkerDiedError("sweep", "workers", "worker processes that live to the end; one was killed")
+
+    monkeypatch.setattr(runner, "_run", die)
+    page = run_benchmark(suite, ["random"], out)
+    line = json.loads((out / RESULTS).read_text())["tracks"]["mapping"]["entries"]["random"]
+    assert line["episodes"] == 2
+    assert line["faults"] == {"its process has died": 1}
+    assert "mapping: sweep: workers: expected worker processes" in page.read_text()
+
+
+def test_references_of_the_same_suite_stand_beside_the_entries(in_process, monkeypatch):
+    suite, agents = write_suite(in_process), write_agents(in_process)
+    kept = in_process / "baselines" / "rooms"
+    run_benchmark(suite, ["random"], kept)
+    monkeypatch.setattr(results, "REFERENCES", kept.parent)
+    page = run_benchmark(suite, [f"{agents}:Straight"], in_process / "out")
+    table = json.loads((page.parent / RESULTS).read_text())["tracks"]["mapping"]
+    assert (list(table["entries"]), list(table["references"])) == (["strangers_straight"], ["random"])
+    assert {table["entries"]["strangers_straight"]["rank"], table["references"]["random"]["rank"]} == {1, 2}
+    assert "random (reference)" in page.read_text()
+    assert not results.references_of(read_suite(suite), kept)  # a run is no reference of itself
+    manifest = json.loads((kept / MANIFEST).read_text())
+    other = manifest | {"tracks": manifest["tracks"] | {"mapping": "0" * 16}}
+    (kept / MANIFEST).write_text(json.dumps(other))
+    page = run_benchmark(suite, [f"{agents}:Straight"], in_process / "out", resume=True)
+    assert "random" not in page.read_text()  # its rows are of another track of that name
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"tracks": ["cars"]}, "tracks: expected one of mapping, car"),
+        ({"tracks": ["car"]}, "tracks: expected a track that an entry is for; found car"),
+        ({"workers": 0}, "workers: expected at least 1, found 0"),
+    ],
+)
+def test_wrong_arguments_are_refused_before_anything_is_written(in_process, keywords, message):
+    with pytest.raises(InputError, match=message):
+        run_benchmark(write_suite(in_process), ["random"], in_process / "out", **keywords)
+    assert not (in_process / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_command_scores_a_strangers_file_in_worker_processes(tmp_path):
+    suite, agents = write_suite(tmp_path), write_agents(tmp_path)
+    program = "import sys; from vssm_gym.cli.main import main; sys.exit(main())"
+    words = ["benchmark", str(suite), "--entry", f"{agents.name}:Straight", f"{agents.name}:Crashing", "--out", "out"]
+    done = subprocess.run([sys.executable, "-c", program, *words], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "ArithmeticError: no answer" in done.stdout
+    assert (tmp_path / "out" / PAGE).read_text().splitlines()[0] == "# Benchmark rooms"
+    wrong = subprocess.run(
+        [sys.executable, "-c", program, *words[:2], "--entry", "nobody", "--out", "o"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert wrong.returncode == 2
+    assert wrong.stderr.startswith("error: benchmark: entry: expected FILE.py:CLASS")
+    assert wrong.stderr.count("\n") == 1
+
+
+def test_committed_references_are_rows_of_tracks_of_public_suites(tmp_path):
+    suites = [read_suite(path) for path in SUITES.glob("*.yaml")]
+    for folder in (path.parent for path in results.REFERENCES.glob(f"*/{MANIFEST}")):
+        [suite] = [suite for suite in suites if folder in results.references_of(suite, tmp_path)]
+        tables = results.tables(suite, folder, {})
+        assert tables
+        for table in tables:
+            assert table.places
+            for place in table.places:
+                assert np.isfinite(place.line.score.mean)
+                assert place.line.episodes > 0
+                assert "its process has died" not in place.line.faults  # the run had ended

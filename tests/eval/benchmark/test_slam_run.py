@@ -1,0 +1,129 @@
+"""Test the SLAM track on a short walk: the true poses have no error, and faults are worth standing still."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from tests.helpers.box_rooms import furniture, two_rooms
+from vssm_gym.data.sequences import load_sequence
+from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.eval.benchmark import units
+from vssm_gym.eval.benchmark.slam import run as slam_run
+from vssm_gym.eval.benchmark.slam.contract import SlamMethod
+from vssm_gym.eval.benchmark.slam.methods import SLAM_METHODS, StandingStill
+from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
+from vssm_gym.eval.benchmark.suite import Recording
+
+METHODS = """
+import os
+import numpy as np
+from vssm_gym.eval.benchmark.slam.methods import StandingStill
+
+class Dying(StandingStill):
+    name = "strangers_dying"
+    def track(self, time, rgb, depth):
+        os._exit(3)
+"""
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """Return the definition of a short walk and its folder."""
+    folder = tmp_path_factory.mktemp("walk")
+    box = furniture("box", (1.0, 1.0, 0.5), (0.4, 0.4, 1.0))
+    save_scene(two_rooms(pieces=(box,)), folder / "rooms.json")
+    walk = Recording(scene=str(folder / "rooms.json"), motion="handheld", length=1.0)
+    return walk, ensure_recording(walk, folder / "recordings")
+
+
+def scored(monkeypatch, walk, method):
+    """Run a method on the walk."""
+    entry = type("Found", (), {"make": lambda self: method})()
+    monkeypatch.setattr(slam_run, "find_entry", lambda reference: entry)
+    return run_recording(SlamUnit("mine", "mine", *walk, seconds=5.0))
+
+
+class Knowing(StandingStill):
+    """State the true poses in the frame of the first camera, some of them only in the end."""
+
+    def __init__(self, folder, late=False, change=None):
+        truth = load_sequence(folder).true_poses()
+        self.poses, self.late = np.linalg.inv(truth[0]) @ truth, late
+        self.change = change or (lambda pose: pose)
+
+    def begin(self, camera, seed):
+        assert (camera.width, camera.height) == (160, 120)
+        self.seen = 0
+
+    def track(self, time, rgb, depth):
+        assert time == pytest.approx(0.1 * self.seen)
+        assert (rgb.dtype, rgb.shape[:2]) == (np.uint8, depth.shape)
+        assert 0.0 < np.median(depth) < 8.0
+        self.seen += 1
+        return np.eye(4) if self.late else self.change(self.poses[self.seen - 1])
+
+    def finish(self):
+        return self.poses if self.late else None
+
+
+def test_true_poses_have_no_error_whenever_they_are_stated(monkeypatch, walk):
+    for late in (False, True):
+        row = scored(monkeypatch, walk, Knowing(walk[1], late))
+        assert row["score"] < 1e-6
+        assert row["success"]
+        assert row["fault"] is None
+        assert (row["measured"]["ate_online"] > 0.05) == late
+        assert row["measured"]["images"] > 10
+    units.UnitRow(entry="mine", unit="walk", version="1", **row)
+
+
+def test_standing_still_is_the_worst(monkeypatch, walk):
+    row = scored(monkeypatch, walk, SLAM_METHODS["standing_still"]())
+    assert row["score"] == pytest.approx(standing_still(SlamUnit("mine", "mine", *walk, seconds=5.0)))
+    truth = load_sequence(walk[1]).true_poses()[:, :3, 3]
+    assert row["score"] == pytest.approx(np.sqrt(np.mean(np.sum((truth - truth.mean(0)) ** 2, -1))), rel=0.1)
+    wild = np.random.default_rng(0)
+    far = lambda pose: np.block([[np.eye(3), 50.0 * wild.normal(size=(3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+    assert scored(monkeypatch, walk, Knowing(walk[1], change=far))["score"] == pytest.approx(row["score"])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        (lambda pose: pose[:3], "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: pose * np.nan, "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: np.diag([2.0, 2.0, 2.0, 1.0]), "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: 1 / 0, "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_what_is_no_pose_is_a_fault(monkeypatch, walk, wrong, reason):
+    row = scored(monkeypatch, walk, Knowing(walk[1], change=wrong))
+    assert row["fault"].startswith(reason)
+    assert not row["success"]
+    assert row["score"] == pytest.approx(standing_still(SlamUnit("mine", "mine", *walk, seconds=5.0)))
+
+
+def test_a_finish_with_too_few_poses_is_a_fault(monkeypatch, walk):
+    method = Knowing(walk[1], late=True)
+    method.poses = method.poses[:-1]
+    assert "finish was expected to return None or rigid poses" in scored(monkeypatch, walk, method)["fault"]
+
+
+def test_the_methods_of_the_package_fit_the_contract():
+    assert all(isinstance(make(), SlamMethod) for make in SLAM_METHODS.values())
+
+
+@pytest.mark.slow
+def test_prism_follows_the_walk_and_a_process_that_dies_costs_its_run(walk, tmp_path, monkeypatch):
+    (tmp_path / "strangers_dying.py").write_text(METHODS)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    names = ("prism", f"{tmp_path / 'strangers_dying.py'}:Dying", "standing_still")
+    runs = [SlamUnit(name.rpartition(":")[2], name, *walk, seconds=100.0) for name in names]
+    path = units.run_units(runs, run_recording, standing_still, tmp_path / "slam")
+    rows = {row["entry"]: row for row in units.read_rows(path, units.UnitRow)}
+    assert rows["prism"]["score"] < 0.03
+    assert rows["Dying"]["fault"] == "its process has died, or did not return"
+    assert rows["Dying"]["score"] == pytest.approx(rows["standing_still"]["score"])
+    assert rows["standing_still"]["fault"] is None  # in a new process
+    assert units.run_units(runs, run_recording, standing_still, tmp_path / "slam").read_bytes() == path.read_bytes()

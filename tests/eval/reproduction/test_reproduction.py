@@ -1,0 +1,238 @@
+"""Test ``vssm-gym reproduce``: equal outcomes pass, an altered row is named, and what cannot be run is refused."""
+
+import json
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.helpers.box_rooms import two_rooms
+from tests.helpers.paths import CHECKOUT
+from tests.helpers.straight_policy import straight
+from vssm_gym.agents.policy import policy_file
+from vssm_gym.cli.sweeps.reproduce import reproduce
+from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.log import FILE, read_rows
+from vssm_gym.eval.metrics.training_runs import training_name
+from vssm_gym.eval.reproduction.comparison import NOT_OUTCOMES, first_difference, spread_evenly
+from vssm_gym.eval.reproduction.studies import STUDIES
+from vssm_gym.eval.reproduction.sweep_rows import POLICY_FOLDER, policies_of
+from vssm_gym.eval.studies.maze_exploration.run import ExplorationSetting
+from vssm_gym.eval.studies.maze_exploration.run import run as run_exploration
+from vssm_gym.eval.studies.maze_slam.run import MazeSlamSetting
+from vssm_gym.eval.studies.maze_slam.run import run as run_maze_slam
+from vssm_gym.eval.sweep.config import SweepConfig
+from vssm_gym.eval.sweep.runner import run_sweep
+
+CONFIG = SweepConfig(
+    env=("vssm_gym/LidarMaze-v0",),
+    scenes=("pillars-v1",),
+    agents=("dist_bug",),
+    robot=("disc",),
+    physics=("none",),
+    noise=("none", "low"),
+    tasks=(0, 7, 9),
+)
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep") / "out"
+    run_sweep(CONFIG, folder, workers=1)
+    return folder
+
+
+def altered(folder, tmp_path, **change):
+    """Return a copy of a sweep's folder whose last row has other values."""
+    copy = tmp_path / "altered"
+    copy.mkdir()
+    (copy / "sweep.json").write_text((folder / "sweep.json").read_text())
+    rows = [json.loads(line) for line in (folder / FILE).read_text().splitlines()]
+    rows[-1] |= change
+    (copy / FILE).write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return copy
+
+
+def test_rows_have_the_same_outcome_once_more(sweep, tmp_path, capsys):
+    reproduce(sweep, tmp_path / "again", episodes=4, workers=1)
+    assert "4 of 4 rows have the same outcome" in capsys.readouterr().out
+    again = (tmp_path / "again" / FILE).read_text().splitlines()
+    assert len(again) == 4
+
+
+def test_an_altered_row_fails_and_the_field_is_named(sweep, tmp_path, capsys):
+    length = json.loads((sweep / FILE).read_text().splitlines()[-1])["path_length"]
+    with pytest.raises(SystemExit):
+        reproduce(altered(sweep, tmp_path, path_length=length + 0.01), tmp_path / "again", workers=1)
+    said = capsys.readouterr().out
+    assert "pillars-v1, dist_bug, noise low, task 9: path_length: expected" in said
+    assert "5 of 6 rows have the same outcome" in said
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"agent": "policy@12345678"}, r"config\.agents: expected agents of the registry, or policies whose files"),
+        ({"agent": "astar"}, "agents"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(sweep, tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        reproduce(altered(sweep, tmp_path, **change), tmp_path / "again", workers=1)
+    with pytest.raises(InputError, match="sweep"):
+        reproduce(tmp_path / "nothing", tmp_path / "other")
+
+
+def test_a_scene_that_has_changed_is_refused(sweep, tmp_path):
+    copy = altered(sweep, tmp_path)
+    manifest = json.loads((copy / "sweep.json").read_text())
+    manifest["scene_hashes"]["pillars-v1"] = "0" * 16
+    (copy / "sweep.json").write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=r"scene_hashes\.pillars-v1"):
+        reproduce(copy, tmp_path / "again", workers=1)
+
+
+# policies
+
+BASELINES = CHECKOUT / "eval" / "baselines"
+POLICY_BYTES = 200_000  # of a committed file
+WITH_POLICIES = [folder for folder in sorted(BASELINES.iterdir()) if (folder / POLICY_FOLDER).is_dir()]
+
+
+def check_policies(folder):
+    """Assert that a sweep's folder holds the policies that drove its rows, all of them and no other, in small files."""
+    drove = {row["agent"] for row in read_rows(folder / FILE) if training_name(row["agent"]) is not None}
+    assert policies_of(folder).keys() == drove
+    assert all(path.stat().st_size <= POLICY_BYTES for path in (folder / POLICY_FOLDER).iterdir())
+
+
+@pytest.mark.parametrize("folder", WITH_POLICIES, ids=lambda folder: folder.name)
+def test_committed_policies_are_those_of_the_rows(folder):
+    check_policies(folder)
+
+
+def test_the_check_of_committed_policies_finds_a_missing_and_a_foreign_one(sweep, tmp_path):
+    file = tmp_path / "straight.npz"
+    policy_file.save(file, straight())
+    copy = altered(sweep, tmp_path, agent=policy_file.label(file))
+    (copy / POLICY_FOLDER).mkdir()
+    with pytest.raises(AssertionError):
+        check_policies(copy)
+    (copy / POLICY_FOLDER / "any-name.npz").write_bytes(file.read_bytes())
+    check_policies(copy)
+    policy_file.save(copy / POLICY_FOLDER / "other.npz", straight(step=0.5))
+    with pytest.raises(AssertionError):
+        check_policies(copy)
+
+
+@pytest.mark.slow
+def test_the_rows_of_a_policy_are_run_by_its_file_in_the_folder(tmp_path, capsys):
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    policy_file.save(tmp_path / "straight.npz", straight())
+    scene, agent = str(tmp_path / "rooms.json"), f"policy:{tmp_path / 'straight.npz'}"
+    config = SweepConfig(scenes=(scene,), agents=(agent,), tasks=(0, 1))
+    run_sweep(config, tmp_path / "out", workers=1)
+    (tmp_path / "straight.npz").unlink()
+    with pytest.raises(InputError, match=r"config\.agents: expected .* straight@\w+ is neither"):
+        reproduce(tmp_path / "out", tmp_path / "without", episodes=1, scenes=(scene,), workers=1)
+    (tmp_path / "out" / POLICY_FOLDER).mkdir()
+    policy_file.save(tmp_path / "out" / POLICY_FOLDER / "straight-0.npz", straight())
+    reproduce(tmp_path / "out", tmp_path / "again", scenes=(scene,), workers=1)
+    assert "2 of 2 rows have the same outcome" in capsys.readouterr().out
+
+
+# studies
+
+STUDY_FOLDERS = {
+    "maze_slam": "maze-slam",
+    "maze_exploration": "maze-exploration",
+    "slam2d_strips": "slam2d by strips",
+    "slam2d_graph": "slam2d by a pose graph",
+}
+
+
+@pytest.mark.parametrize("folder", STUDY_FOLDERS)
+def test_committed_rows_of_a_study_are_of_one_kind(folder):
+    """The rows of each study can be run again, but for two of recorded logs."""
+    (kind,) = [kind for kind in STUDIES if kind.rows(BASELINES / folder)]
+    assert kind.name == STUDY_FOLDERS[folder]
+    lines = len((BASELINES / folder / kind.file).read_text().splitlines())
+    assert len(kind.rows(BASELINES / folder)) == lines - (2 if folder == "slam2d_graph" else 0)
+
+
+RUNS = {
+    "maze-slam.jsonl": lambda out: run_maze_slam(
+        MazeSlamSetting(("rings-v1",), ("odometry",), traversals=3, seeds=1, steps=150), out
+    ),
+    "maze-exploration.jsonl": lambda out: run_exploration(
+        ExplorationSetting(("rings-v1",), ("maze_random",), seeds=2, steps=25), out
+    ),
+}
+
+
+@pytest.mark.parametrize("file", RUNS)
+def test_rows_of_a_study_are_run_again_and_an_altered_one_is_named(file, tmp_path, capsys):
+    study = tmp_path / "study"
+    study.mkdir()
+    ran = RUNS[file](study)
+    reproduce(study, tmp_path / "again")
+    assert f"{len(ran)} of {len(ran)} rows have the same outcome" in capsys.readouterr().out
+    lines = (study / file).read_text().splitlines()
+    assert len((tmp_path / "again" / file).read_text().splitlines()) == len(lines)
+    row = json.loads(lines[-1])
+    name = "mean" if "mean" in row else "path_length"
+    (study / file).write_text("\n".join([*lines[:-1], json.dumps(row | {name: row[name] + 0.01})]) + "\n")
+    with pytest.raises(SystemExit):
+        reproduce(study, tmp_path / "altered")
+    assert re.search(rf"maze rings-v1, .*: {name}: expected", capsys.readouterr().out)
+
+
+def test_a_folder_of_neither_is_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"expected a sweep or a study whose rows can be run again \(episodes\.jsonl"):
+        reproduce(tmp_path / "empty", tmp_path / "out")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", ["maze_exploration", "maze_slam"])
+def test_committed_rows_have_the_same_outcome(folder, tmp_path):
+    reproduce(BASELINES / folder, tmp_path / "again", episodes=2)
+
+
+@given(st.integers(1, 60), st.integers(1, 60))
+def test_rows_are_chosen_from_the_first_to_the_last(rows, most):
+    chosen = [row["k"] for row in spread_evenly([{"k": k} for k in range(rows)], most)]
+    assert len(chosen) == min(rows, most) and chosen == sorted(set(chosen))
+    assert chosen[0] == 0 and (most == 1 or chosen[-1] == rows - 1)
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-5, 5) | st.floats(-5.0, 5.0) | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=2), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(row=st.dictionaries(st.text(max_size=4), VALUES, max_size=5), later=VALUES)
+def test_a_row_agrees_with_itself_and_with_fields_that_came_later(row, later):
+    assert first_difference(row, row, 0.0) is None
+    assert first_difference(row, {"came_later": later} | row, 0.0) is None
+
+
+@given(value=st.floats(-10.0, 10.0), off=st.floats(0.0, 0.1))
+def test_numbers_agree_within_the_tolerance(value, off):
+    found = first_difference({"outer": [{"inner": value}]}, {"outer": [{"inner": value + off}]}, 0.01)
+    allowed = 0.01 * max(1.0, abs(value), abs(value + off))
+    if not math.isclose(off, allowed, abs_tol=1e-9):
+        assert (found is None) == (off < allowed)
+    assert found is None or found.startswith("outer[0].inner: expected")
+
+
+def test_kinds_that_differ_never_agree():
+    assert first_difference({"success": True}, {"success": 1}, 0.5) == "success: expected True, now 1"
+    assert first_difference({"status": "arrived"}, {}, 0.5) == "status: expected 'arrived'; now it is not there"
+    assert first_difference({"goal": [1.0]}, {"goal": [1.0, 2.0]}, 0.5) is not None
+    assert first_difference(dict.fromkeys(NOT_OUTCOMES, 1), dict.fromkeys(NOT_OUTCOMES, 2), 0.0) is None

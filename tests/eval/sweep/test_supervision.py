@@ -1,0 +1,152 @@
+"""Test that an entry's faults become failures of its episode: errors, wrong decisions, lost time."""
+
+import time
+
+import numpy as np
+import pytest
+
+from vssm_gym.agents.base import Decision
+from vssm_gym.agents.registry import make_agent
+from vssm_gym.eval.sweep.supervision import SupervisedAgent, Supervisor
+
+START = {"goal": np.zeros(2)}
+
+
+class Context:
+    """Hold what a supervisor reads of a context."""
+
+    car, stops = None, False
+
+
+class Car(Context):
+    car = object()
+
+
+class Scripted:
+    """Return what a test wants, or raise it."""
+
+    name, robot, task, needs_pose, needs_map = "scripted", "holonomic", "pointgoal", False, False
+
+    def __init__(self, *results):
+        self.results = list(results)
+
+    def reset(self, context, observation, seed):
+        """Begin."""
+
+    def act(self, observation):
+        found = self.results.pop(0)
+        if callable(found):
+            found = found()
+        return found
+
+
+def decision(**changed):
+    """Return a decision that drives on."""
+    fields = {"action": np.array([0.0, 0.0, 0.1, 0.0], np.float32), "pose": np.zeros(3), "status": "driving"}
+    return Decision(**(fields | changed))
+
+
+def leave():
+    raise SystemExit(3)
+
+
+def loop():
+    while True:
+        pass
+
+
+def stubborn():
+    while True:
+        try:
+            time.sleep(10.0)
+        except Exception:  # a program that goes on whatever happens
+            continue
+
+
+def test_decisions_pass_unchanged():
+    wanted = [decision(), decision(pose=None)]
+    agent = SupervisedAgent(Scripted(*wanted), 5.0)
+    agent.reset(Context(), START, 0)
+    assert [agent.act(START) for _ in wanted] == wanted
+    assert agent.fault is None
+    assert agent.map is None
+
+
+@pytest.mark.parametrize(
+    ("result", "reason"),
+    [
+        (lambda: 1 / 0, "ZeroDivisionError: division by zero"),
+        (leave, "SystemExit: 3"),
+        (None, "agent scripted: act: expected a Decision as its result; found NoneType"),
+        (decision(action=np.zeros(3)), "an action of 4 finite numbers was expected; found array"),
+        (decision(action=np.full(4, np.nan)), "an action of 4 finite numbers was expected"),
+        (decision(action="left"), "an action of 4 finite numbers was expected; found 'left'"),
+        (decision(pose=np.zeros(2)), "a pose of 3 finite numbers, or None, was expected"),
+        (decision(status=7), "a text as status was expected; found 7"),
+        (decision(latency={"all": np.inf}), "seconds by stage as latency were expected"),
+        (decision(covariance=-np.eye(3)), "covariance: expected of"),
+        (decision(pose=np.full(3, 1e200)), "a pose of at most 1e+06 m was expected"),
+        (decision(responses={"turn": -1}), "counts by name as responses, or None, were expected"),
+        (decision(expansions="many"), "a count as expansions, or None, was expected; found 'many'"),
+    ],
+)
+def test_a_fault_gives_the_episode_up_once_and_for_all(result, reason):
+    agent = SupervisedAgent(Scripted(result, decision()), 5.0)
+    agent.reset(Context(), START, 0)
+    for _ in range(2):
+        found = agent.act(START)
+        assert found.gives_up
+        assert found.action.tolist() == [0.0, 0.0, 0.0, 1.0]
+    assert reason in agent.fault
+    assert found.status == f"fault: {agent.fault}"
+    agent.reset(Context(), START, 1)
+    assert agent.fault is None
+    assert not agent.act(START).gives_up  # the next episode begins anew
+
+
+def test_a_status_that_no_row_can_hold_is_shown_by_its_escapes():
+    agent = SupervisedAgent(Scripted(decision(status="half \ud800\nnext"), decision(status="x" * 5000)), 5.0)
+    agent.reset(Context(), START, 0)
+    assert agent.act(START).status == "half \\ud800\\nnext"
+    assert len(agent.act(START).status) == 1000
+
+
+@pytest.mark.parametrize("result", [loop, stubborn])
+def test_an_agent_that_takes_too_long_is_interrupted(result):
+    agent = SupervisedAgent(Scripted(decision(), result), 0.1)
+    agent.reset(Context(), START, 0)
+    assert not agent.act(START).gives_up
+    began = time.process_time()
+    assert agent.act(START).gives_up
+    assert time.process_time() - began < 1.0
+    assert agent.fault == "more than 0.1 s of processor time, or 10 times as much on the clock"
+
+
+def busy(seconds):
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+
+
+def test_time_is_that_of_all_calls_together_and_of_the_entry_alone():
+    supervisor = Supervisor(0.4)
+    for _ in range(2):
+        supervisor.call(lambda: busy(0.1))
+        busy(0.4)  # somebody else's
+    supervisor.call(lambda: time.sleep(1.0))  # a busy machine
+    assert supervisor.fault is None
+    supervisor.call(lambda: busy(5.0))
+    assert supervisor.fault.startswith("more than 0.4 s of processor time")
+    assert supervisor.call(lambda: 1) is None  # it is not asked again
+
+
+def test_the_action_that_gives_up_is_that_of_the_robot():
+    for context, size in ((Context, 4), (Car, 2), (type("Stopping", (Car,), {"stops": True}), 3)):
+        agent = SupervisedAgent(Scripted(leave), 5.0)
+        agent.reset(context(), START, 0)
+        assert agent.act(START).action.shape == (size,)
+
+
+def test_an_agent_of_the_package_is_what_it_was():
+    agent = SupervisedAgent(make_agent("random"), 5.0)
+    assert (agent.name, agent.robot, agent.needs_map) == ("random", "holonomic", False)

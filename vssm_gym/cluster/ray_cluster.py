@@ -1,0 +1,256 @@
+"""Call functions on a Ray cluster, each on a CPU of its own, from ordinary futures; files travel by their content.
+
+A call that loses its process or its machine is repeated by Ray. A machine on which another version of the package or
+of its libraries is installed is refused. Files that calls read are put into Ray's object store, and written once on
+each machine, into the folder of Ray's session there, which is emptied of them at the end.
+"""
+
+import contextlib
+import hashlib
+import importlib.util
+import itertools
+import logging
+import os
+import shutil
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from vssm_gym.cluster.address import check_address
+from vssm_gym.cluster.installed import check_same, installed
+from vssm_gym.errors import InputError
+from vssm_gym.files.atomic import atomic_write
+
+MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
+FILES = "vssm_gym"  # folder in that of Ray's session
+
+
+class CallLost(BrokenExecutor):
+    """Report a call that was lost with its process or machine more than ``MOST_LOSSES`` times, or with the cluster."""
+
+
+@dataclass(frozen=True)
+class SharedFile:
+    """Hold a file that travels: its name, a hash of its content, and the content in Ray's object store."""
+
+    name: str
+    digest: str
+    folder: str  # of all files of one :class:`Calls`
+    content: Any  # a reference, which is not fetched where the file is there
+
+    def path(self) -> Path:
+        """Return the file on the machine of the call, which the first call there writes."""
+        import ray
+
+        path = _files(self.folder) / self.digest / self.name
+        if not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(path) as temporary:
+                temporary.write_bytes(ray.get(self.content))
+        return path
+
+
+class Cluster:
+    """Describe a cluster that this process is connected to."""
+
+    def __init__(self) -> None:
+        import ray
+
+        alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
+        self.cpus = sum(int(node["Resources"]["CPU"]) for node in alive)
+        self.nodes = [node["NodeID"] for node in alive]
+        self.machines = list({node["NodeManagerAddress"]: node["NodeID"] for node in alive}.values())  # one node each
+        if not alive:
+            raise InputError("--ray", "cluster", "a node with a CPU; the cluster has none")
+
+    def check(self) -> None:
+        """Raise :class:`InputError` where a node lacks the package, or has other versions than this machine."""
+        with contextlib.closing(Calls(self, len(self.nodes), {})) as calls:
+            for future in [calls.submit(os.getpid, node=node) for node in self.nodes]:
+                try:
+                    future.result()
+                except InputError:
+                    raise
+                except Exception as error:
+                    last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+                    expected = f"nodes whose Python has vssm_gym and its libraries; one answers: {last}"
+                    raise InputError("--ray", "cluster", expected) from None
+
+
+class Calls:
+    """Run calls on a cluster, at most ``most`` at a time; each call has a CPU, and processes are kept between calls.
+
+    Args:
+        cluster: that this process is connected to.
+        most: calls at a time.
+        variables: of the environment of the processes, which are started for these calls alone.
+    """
+
+    _numbers = itertools.count()
+
+    def __init__(self, cluster: Cluster, most: int, variables: Mapping[str, str]) -> None:
+        import ray
+
+        self._cluster = cluster
+        self._folder = f"{ray.get_runtime_context().get_job_id()}-{next(self._numbers)}"
+        environment = {"env_vars": {**variables, "VSSM_GYM_CALLS": self._folder}}
+        self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=environment)(_call)
+        self._threads = ThreadPoolExecutor(most, thread_name_prefix="ray-call")
+        self._lock, self._running, self._shared = threading.Lock(), set[Any](), dict[str, SharedFile]()
+
+    def submit(
+        self,
+        function: Callable[..., Any],
+        *arguments: Any,
+        node: str | None = None,
+        then: Callable[[Any], Any] | None = None,
+    ) -> Future:
+        """Return the future of ``function(*arguments)``.
+
+        It raises what the function has raised, :class:`CallLost`, and :class:`InputError` on a machine that differs.
+
+        Args:
+            function: at the top level of a module.
+            arguments: its arguments; they are pickled by Ray.
+            node: on which it runs if that has a CPU; None: any.
+            then: called here with what the function returned; what it returns is the result.
+        """
+        return self._threads.submit(self._run, function, arguments, node, then)
+
+    def share(self, path: Path) -> SharedFile:
+        """Put the content of a file into the object store, once."""
+        import ray
+
+        content = path.read_bytes()
+        digest = hashlib.sha256(content).hexdigest()[:16]
+        key = digest + path.name
+        with self._lock:
+            if (found := self._shared.get(key)) is None:
+                found = self._shared[key] = SharedFile(path.name, digest, self._folder, ray.put(content))
+        return found
+
+    def stop(self) -> None:
+        """Begin no further call; those that have begun go on."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def interrupt(self) -> None:
+        """Interrupt the calls that have begun, as Ctrl-C would."""
+        import ray
+
+        with self._lock:
+            for reference in self._running:
+                ray.cancel(reference, force=False)
+
+    def close(self) -> None:
+        """End all calls, and remove what :meth:`share` has brought to the machines."""
+        import ray
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        self.stop()
+        with self._lock:
+            for reference in self._running:
+                ray.cancel(reference, force=True)
+        self._threads.shutdown(wait=True)
+        if self._shared and ray.is_initialized():
+            self._shared.clear()
+            remove = ray.remote(num_cpus=0, max_retries=0)(_remove_files)
+            on = [NodeAffinitySchedulingStrategy(node, soft=False) for node in self._cluster.nodes]
+            ray.wait([remove.options(scheduling_strategy=one).remote(self._folder) for one in on], timeout=5.0)
+
+    def _run(
+        self,
+        function: Callable[..., Any],
+        arguments: tuple[Any, ...],
+        node: str | None,
+        then: Callable[[Any], Any] | None,
+    ) -> Any:
+        """Run a call and wait for it, in a thread of its own."""
+        import ray
+        from ray.exceptions import RayError, RayTaskError, TaskCancelledError
+        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+        remote = self._remote
+        if node is not None:
+            remote = remote.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node, soft=True))
+        reference = remote.remote(function, installed(), arguments)
+        with self._lock:
+            self._running.add(reference)
+        try:
+            result = ray.get(reference)
+        except TaskCancelledError:
+            raise KeyboardInterrupt from None
+        except RayTaskError as error:
+            raise error.cause from RuntimeError(str(error))  # which has the traceback of the machine
+        except RayError as error:
+            raise CallLost(" ".join(str(error).split())) from error
+        finally:
+            with self._lock:
+                self._running.discard(reference)
+        return result if then is None else then(result)
+
+
+@contextlib.contextmanager
+def connected(address: str) -> Iterator[Cluster]:
+    """Connect to a cluster, one of whose nodes is this machine, and check all of its nodes.
+
+    A program that is connected already stays so. Signals go on doing what they did.
+
+    Args:
+        address: ``auto`` or ``HOST:PORT``.
+
+    Raises:
+        InputError: no such cluster; Ray is not installed; a node that has no CPU, not the package, or other versions.
+    """
+    check_address(address)
+    if importlib.util.find_spec("ray") is None:
+        raise InputError("--ray", "ray", 'the extra "cluster": pip install -c constraints.txt ".[cluster]"')
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent; read at the import
+    import ray
+
+    mine = not ray.is_initialized()
+    if mine:
+        before = signal.getsignal(signal.SIGTERM)
+        try:
+            ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+        except Exception as error:  # of many classes: no cluster, no node here, another version of Ray or Python
+            found = " ".join(str(error).split())
+            expected = f"a running cluster with this machine as a node (`ray start`); Ray says: {found}"
+            raise InputError("--ray", "address", expected) from None
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)  # Ray would end the process at once
+    try:
+        cluster = Cluster()
+        cluster.check()
+        yield cluster
+    finally:
+        if mine:
+            ray.shutdown()
+
+
+def _call(function: Callable[..., Any], expected: Mapping[str, str], arguments: tuple[Any, ...]) -> Any:
+    """Run a call in a process of the cluster."""
+    _check(tuple(expected.items()))
+    return function(*arguments)
+
+
+@cache
+def _check(expected: tuple[tuple[str, str], ...]) -> None:
+    check_same(dict(expected), installed(), socket.gethostname())
+
+
+def _files(folder: str) -> Path:
+    """Return the folder of shared files of this node."""
+    import ray
+
+    here = ray.get_runtime_context()
+    return Path(here.get_temp_dir(), here.get_session_name(), FILES, folder, here.get_node_id()[:12])
+
+
+def _remove_files(folder: str) -> None:
+    shutil.rmtree(_files(folder).parent, ignore_errors=True)
