@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from vssm_gym.envs.scenes.scene import built_in_scenes, load_scene
+from vssm_gym.envs.scenes.specs import scene_name, spec_of_name
 from vssm_gym.envs.tasks import splits
 from vssm_gym.envs.tasks.navigation import FROZEN as FROZEN_TASKS
 from vssm_gym.envs.tasks.navigation import load
@@ -36,6 +37,12 @@ def test_frozen_tasks_are_of_the_frozen_scenes():
 @given(st.integers(0, 100_000), st.sampled_from(["", ":small", ":medium", ":large", ":parking", ":parking-moved"]))
 def test_a_seed_has_one_split_in_every_form(seed, size):
     assert split_of(f"procedural:{seed}{size}") == ("train" if seed < 10_000 else "test")
+
+
+@given(st.integers(0, 100_000), st.sampled_from(["", ":small", ":large", ":parking", ":parking-moved"]))
+def test_the_name_of_a_seed_in_rows_tells_the_scene(seed, form):
+    """Rows write ``procedural-7-parking-moved``; whoever runs them again asks for the scene with that name."""
+    assert spec_of_name(scene_name(f"procedural:{seed}{form}")) == f"procedural:{seed}{form}"
 
 
 def test_the_splits_never_mix():

@@ -33,4 +33,4 @@ def scene_name(spec: str) -> str:
 
 def spec_of_name(name: str) -> str:
     """Return how a scene is asked for whose name in rows is given: the inverse of :func:`scene_name` without a file."""
-    return name.replace("-", ":") if name.startswith(PREFIX.replace(":", "-")) else name
+    return name.replace("-", ":", 2) if name.startswith(PREFIX.replace(":", "-")) else name
