@@ -57,11 +57,16 @@ class SharedFile:
 
 
 class Cluster:
-    """Describe a cluster that this process is connected to."""
+    """Describe a cluster that this process is connected to.
 
-    def __init__(self) -> None:
+    Args:
+        variables: of the environment of all processes that run calls.
+    """
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
         import ray
 
+        self.variables, self.numbers = dict(variables), itertools.count()
         alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
         self.cpus = sum(int(node["Resources"]["CPU"]) for node in alive)
         self.nodes = [node["NodeID"] for node in alive]
@@ -70,8 +75,11 @@ class Cluster:
             raise InputError("--ray", "cluster", "a node with a CPU; the cluster has none")
 
     def check(self) -> None:
-        """Raise :class:`InputError` where a node lacks the package, or has other versions than this machine."""
-        with contextlib.closing(Calls(self, len(self.nodes), {})) as calls:
+        """Raise :class:`InputError` where a node lacks the package, or has other versions than this machine.
+
+        The processes that this starts run the first calls.
+        """
+        with contextlib.closing(Calls(self, len(self.nodes), number=0)) as calls:
             for future in [calls.submit(os.getpid, node=node) for node in self.nodes]:
                 try:
                     future.result()
@@ -89,17 +97,16 @@ class Calls:
     Args:
         cluster: that this process is connected to.
         most: calls at a time.
-        variables: of the environment of the processes, which are started for these calls alone.
+        number: calls of one number share their processes; None: the next number, whose memory is that of no others.
     """
 
-    _numbers = itertools.count()
-
-    def __init__(self, cluster: Cluster, most: int, variables: Mapping[str, str]) -> None:
+    def __init__(self, cluster: Cluster, most: int, number: int | None = None) -> None:
         import ray
 
         self._cluster = cluster
-        self._folder = f"{ray.get_runtime_context().get_job_id()}-{next(self._numbers)}"
-        environment = {"env_vars": {**variables, "VSSM_GYM_CALLS": self._folder}}
+        number = next(cluster.numbers) if number is None else number
+        self._folder = f"{ray.get_runtime_context().get_job_id()}-{number}"
+        environment = {"env_vars": {**cluster.variables, "VSSM_GYM_CALLS": self._folder}}
         self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=environment)(_call)
         self._threads = ThreadPoolExecutor(most, thread_name_prefix="ray-call")
         self._lock, self._running, self._shared = threading.Lock(), set[Any](), dict[str, SharedFile]()
@@ -196,13 +203,14 @@ class Calls:
 
 
 @contextlib.contextmanager
-def connected(address: str) -> Iterator[Cluster]:
+def connected(address: str, variables: Mapping[str, str]) -> Iterator[Cluster]:
     """Connect to a cluster, one of whose nodes is this machine, and check all of its nodes.
 
     A program that is connected already stays so. Signals go on doing what they did.
 
     Args:
         address: ``auto`` or ``HOST:PORT``.
+        variables: of the environment of the processes that run calls, beside those that the nodes have.
 
     Raises:
         InputError: no such cluster; Ray is not installed; a node that has no CPU, not the package, or other versions.
@@ -225,7 +233,7 @@ def connected(address: str) -> Iterator[Cluster]:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray would end the process at once
     try:
-        cluster = Cluster()
+        cluster = Cluster(variables)
         cluster.check()
         yield cluster
     finally:
