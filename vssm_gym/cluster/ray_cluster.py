@@ -28,6 +28,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
+REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
 FILES = "vssm_gym"  # folder in that of Ray's session
 
 
@@ -106,8 +107,8 @@ class Calls:
         self._cluster = cluster
         number = next(cluster.numbers) if number is None else number
         self._folder = f"{ray.get_runtime_context().get_job_id()}-{number}"
-        environment = {"env_vars": {**cluster.variables, "VSSM_GYM_CALLS": self._folder}}
-        self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=environment)(_call)
+        self._environment = {"env_vars": {**cluster.variables, "VSSM_GYM_CALLS": self._folder}}
+        self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=self._environment)(_call)
         self._threads = ThreadPoolExecutor(most, thread_name_prefix="ray-call")
         self._lock, self._running, self._shared = threading.Lock(), set[Any](), dict[str, SharedFile]()
 
@@ -157,6 +158,7 @@ class Calls:
     def close(self) -> None:
         """End all calls, and remove what :meth:`share` has brought to the machines."""
         import ray
+        from ray.exceptions import RayError
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         self.stop()
@@ -166,9 +168,13 @@ class Calls:
         self._threads.shutdown(wait=True)
         if self._shared and ray.is_initialized():
             self._shared.clear()
-            remove = ray.remote(num_cpus=0, max_retries=0)(_remove_files)
+            remove = ray.remote(num_cpus=0, max_retries=MOST_LOSSES, runtime_env=self._environment)(_remove_files)
             on = [NodeAffinitySchedulingStrategy(node, soft=False) for node in self._cluster.nodes]
-            ray.wait([remove.options(scheduling_strategy=one).remote(self._folder) for one in on], timeout=5.0)
+            removed = [remove.options(scheduling_strategy=one).remote(self._folder) for one in on]
+            ready, _ = ray.wait(removed, num_returns=len(removed), timeout=REMOVAL_SECONDS)
+            for one in ready:
+                with contextlib.suppress(RayError):  # of a node that has died
+                    ray.get(one)
 
     def _run(
         self,
