@@ -95,5 +95,5 @@ def pools(workers: int | None, ray: str | None, own: "tuple[type[Agent], ...]" =
     from vssm_gym.cluster.ray_cluster import connected
     from vssm_gym.eval.sweep.ray_pool import RayPool
 
-    with connected(ray) as cluster:
+    with connected(ray, worker.one_thread()) as cluster:
         yield lambda jobs: RayPool(cluster, min(workers or cluster.cpus, jobs), own)

@@ -41,7 +41,7 @@ class RayPool:
     def __init__(self, cluster: Cluster, processes: int, own: "tuple[type[Agent], ...]" = ()) -> None:
         self.machines = len(cluster.machines)
         self._nodes, self._own = cluster.machines, own
-        self._calls = Calls(cluster, processes, worker.one_thread())
+        self._calls = Calls(cluster, processes)
         self._share = cache(self._calls.share)  # a file is read once
         self._scene = cache(self._scene_file)
 

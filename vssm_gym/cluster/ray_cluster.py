@@ -28,6 +28,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
+REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
 FILES = "vssm_gym"  # folder in that of Ray's session
 
 
@@ -57,11 +58,16 @@ class SharedFile:
 
 
 class Cluster:
-    """Describe a cluster that this process is connected to."""
+    """Describe a cluster that this process is connected to.
 
-    def __init__(self) -> None:
+    Args:
+        variables: of the environment of all processes that run calls.
+    """
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
         import ray
 
+        self.variables, self.numbers = dict(variables), itertools.count()
         alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
         self.cpus = sum(int(node["Resources"]["CPU"]) for node in alive)
         self.nodes = [node["NodeID"] for node in alive]
@@ -70,8 +76,11 @@ class Cluster:
             raise InputError("--ray", "cluster", "a node with a CPU; the cluster has none")
 
     def check(self) -> None:
-        """Raise :class:`InputError` where a node lacks the package, or has other versions than this machine."""
-        with contextlib.closing(Calls(self, len(self.nodes), {})) as calls:
+        """Raise :class:`InputError` where a node lacks the package, or has other versions than this machine.
+
+        The processes that this starts run the first calls.
+        """
+        with contextlib.closing(Calls(self, len(self.nodes), number=0)) as calls:
             for future in [calls.submit(os.getpid, node=node) for node in self.nodes]:
                 try:
                     future.result()
@@ -89,18 +98,17 @@ class Calls:
     Args:
         cluster: that this process is connected to.
         most: calls at a time.
-        variables: of the environment of the processes, which are started for these calls alone.
+        number: calls of one number share their processes; None: the next number, whose memory is that of no others.
     """
 
-    _numbers = itertools.count()
-
-    def __init__(self, cluster: Cluster, most: int, variables: Mapping[str, str]) -> None:
+    def __init__(self, cluster: Cluster, most: int, number: int | None = None) -> None:
         import ray
 
         self._cluster = cluster
-        self._folder = f"{ray.get_runtime_context().get_job_id()}-{next(self._numbers)}"
-        environment = {"env_vars": {**variables, "VSSM_GYM_CALLS": self._folder}}
-        self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=environment)(_call)
+        number = next(cluster.numbers) if number is None else number
+        self._folder = f"{ray.get_runtime_context().get_job_id()}-{number}"
+        self._environment = {"env_vars": {**cluster.variables, "VSSM_GYM_CALLS": self._folder}}
+        self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=self._environment)(_call)
         self._threads = ThreadPoolExecutor(most, thread_name_prefix="ray-call")
         self._lock, self._running, self._shared = threading.Lock(), set[Any](), dict[str, SharedFile]()
 
@@ -150,6 +158,7 @@ class Calls:
     def close(self) -> None:
         """End all calls, and remove what :meth:`share` has brought to the machines."""
         import ray
+        from ray.exceptions import RayError
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         self.stop()
@@ -159,9 +168,13 @@ class Calls:
         self._threads.shutdown(wait=True)
         if self._shared and ray.is_initialized():
             self._shared.clear()
-            remove = ray.remote(num_cpus=0, max_retries=0)(_remove_files)
+            remove = ray.remote(num_cpus=0, max_retries=MOST_LOSSES, runtime_env=self._environment)(_remove_files)
             on = [NodeAffinitySchedulingStrategy(node, soft=False) for node in self._cluster.nodes]
-            ray.wait([remove.options(scheduling_strategy=one).remote(self._folder) for one in on], timeout=5.0)
+            removed = [remove.options(scheduling_strategy=one).remote(self._folder) for one in on]
+            ready, _ = ray.wait(removed, num_returns=len(removed), timeout=REMOVAL_SECONDS)
+            for one in ready:
+                with contextlib.suppress(RayError):  # of a node that has died
+                    ray.get(one)
 
     def _run(
         self,
@@ -196,13 +209,14 @@ class Calls:
 
 
 @contextlib.contextmanager
-def connected(address: str) -> Iterator[Cluster]:
+def connected(address: str, variables: Mapping[str, str]) -> Iterator[Cluster]:
     """Connect to a cluster, one of whose nodes is this machine, and check all of its nodes.
 
     A program that is connected already stays so. Signals go on doing what they did.
 
     Args:
         address: ``auto`` or ``HOST:PORT``.
+        variables: of the environment of the processes that run calls, beside those that the nodes have.
 
     Raises:
         InputError: no such cluster; Ray is not installed; a node that has no CPU, not the package, or other versions.
@@ -225,7 +239,7 @@ def connected(address: str) -> Iterator[Cluster]:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray would end the process at once
     try:
-        cluster = Cluster()
+        cluster = Cluster(variables)
         cluster.check()
         yield cluster
     finally:

@@ -65,7 +65,7 @@ def train_on_cluster(
     check_folder(out)
     if not resume:
         check_unbegun(out, seeds)
-    with connected(ray) as cluster:
+    with connected(ray, one_thread()) as cluster:
         made = not out.exists()
         out.mkdir(parents=True, exist_ok=True)
         try:
@@ -74,7 +74,7 @@ def train_on_cluster(
             if made:
                 out.rmdir()
             raise
-        calls = Calls(cluster, len(seeds), one_thread())
+        calls = Calls(cluster, len(seeds))
         each = [config.model_copy(update={"seed": seed}) for seed in seeds]
         folders = [seed_folder(out.resolve(), seed) for seed in seeds]
         futures = [calls.submit(_train, one, folder) for one, folder in zip(each, folders, strict=True)]
@@ -119,7 +119,7 @@ def _check_shared(cluster: Cluster, out: Path) -> None:
     """Raise :class:`InputError` unless every node sees what this process writes into a folder."""
     word, file = uuid.uuid4().hex, out / f".shared.{os.getpid()}.tmp"
     file.write_text(word)
-    calls = Calls(cluster, len(cluster.nodes), {})
+    calls = Calls(cluster, len(cluster.nodes), number=0)
     try:
         for future in [calls.submit(_sees, file, word, node=node) for node in cluster.nodes]:
             if not future.result():
