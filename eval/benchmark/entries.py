@@ -142,7 +142,10 @@ def _of_class(reference: str, found: Any, kind: Kind | None = None) -> Entry:
         raise InputError("entry", reference, f"the class attribute name, a printable text; found {name!r:.80}")
     if fitting[0] == "agent":
         register_agent(found)  # which checks its attributes, too
-    elif name in {**SLAM_METHODS, **PREDICTORS}:
+        made = lambda: make_agent(name)
+        _loaded(reference, made)
+        return Entry(reference, "agent", name, made, _code(found))
+    if name in {**SLAM_METHODS, **PREDICTORS}:
         raise InputError("entry", reference, f"a name that nothing of the package has; found {name!r}")
     _loaded(reference, found)
     return Entry(reference, fitting[0], name, found, _code(found))

@@ -27,7 +27,6 @@ from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_rec
 from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTrack, Suite, check_frozen, read_suite
 from vssm_gym.eval.benchmark.units import run_units
 from vssm_gym.eval.studies.calibration.rows import MAP_VOXEL
-from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import check_names
 from vssm_gym.eval.sweep.runner import leave_unguarded_import, run_sweep
 from vssm_gym.files.atomic import atomic_write
@@ -92,7 +91,7 @@ def run_benchmark(
     notices: list[str] = []
     with owned_folder(out, owner, resume):
         for name, entering in chosen.items():
-            notices += _run_track(suite, suite_path.parent, name, entering, out / name, workers, on_progress)
+            _run_track(suite, suite_path.parent, name, entering, out / name, workers, on_progress)
         return _write(suite, out, manifest, notices)
 
 
@@ -117,8 +116,8 @@ def _run_track(
     folder: Path,
     workers: int,
     on_progress: OnProgress | None,
-) -> list[str]:
-    """Run a track for the entries that it is for; return what a reader of its table should know."""
+) -> None:
+    """Run a track for the entries that it is for."""
     track = suite.tracks[name]
     if isinstance(track, SlamTrack):
         recordings = {one: ensure_recording(one, folder / "recordings", on_progress) for one in track.recordings}
@@ -128,8 +127,7 @@ def _run_track(
             for one, path in recordings.items()
         ]
         run_units(runs, run_recording, standing_still, folder, on_progress)
-        return []
-    if isinstance(track, PredictionTrack):
+    elif isinstance(track, PredictionTrack):
         drives = [
             PredictionUnit(entry.label, entry.reference, scene, k, track.drives, track.seed, map_file, track.seconds)
             for scene in track.scenes
@@ -138,36 +136,30 @@ def _run_track(
             for k in range(track.drives)
         ]
         run_units(drives, run_drive, lambda _: UNINFORMED, folder, on_progress)
-        return []
-    return _drive(track, beside, name, entries, folder, workers, on_progress)
+    else:
+        _drive(track, beside, entries, folder, workers, on_progress)
 
 
 def _drive(
     track: DrivingTrack,
     beside: Path,
-    name: str,
     entries: Sequence[Entry],
     folder: Path,
     workers: int,
     on_progress: OnProgress | None,
-) -> list[str]:
-    """Run the sweep of a track; return a notice where a process of it has died."""
+) -> None:
+    """Run the sweep of a track."""
     config = track.config(tuple(entry.label_of_sweep for entry in entries), beside)
     check_names(config, "benchmark", {"agents": "entry"})
-    given = None if track.map is None else shipped(track.map, MAPS)
-    try:
-        run_sweep(
-            config,
-            folder,
-            resume=True,
-            workers=workers,
-            map_file=given,
-            agent_seconds=track.seconds,
-            on_progress=on_progress,
-        )
-    except worker.WorkerDiedError as error:
-        return [f"{name}: {error}"]
-    return []
+    run_sweep(
+        config,
+        folder,
+        resume=True,
+        workers=workers,
+        map_file=None if track.map is None else shipped(track.map, MAPS),
+        agent_seconds=track.seconds,
+        on_progress=on_progress,
+    )
 
 
 def _map_of(track: PredictionTrack, scene: str, folder: Path, on_progress: OnProgress | None) -> Path:

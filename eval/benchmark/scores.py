@@ -24,7 +24,7 @@ from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.geometry.car import Car
 
 COVERAGE_STEP = 1.0  # s between the points at which a run's coverage is averaged
-LOST_PROCESS = "its process has died"
+NOT_RUN = "not run yet: --resume runs it"
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Score:
     label: str
     direction: Literal["higher", "lower"]
     digits: int
-    worst: float | None = None  # of an episode without a row; None where every failure has a row
+    worst: float | None = None  # of an episode without a row; None where it is not known
 
 
 def _spl(row: Row) -> float:
@@ -78,7 +78,7 @@ class Line:
         success: share of the episodes; of recordings, those whose error is small; of drives, those that ran.
         collisions: steps in contact an episode, of a car collisions; None where nothing can collide.
         p95: s, 95 % point of a decision's time, the median over episodes; None where nothing was measured.
-        episodes: that the suite has, run or lost.
+        episodes: that the suite has, run or not.
         faults: how many failed by the entry's own fault, by reason.
         versions: of the package that made the rows.
     """
@@ -94,7 +94,7 @@ class Line:
 
 
 def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int) -> Line:
-    """Summarise the rows of an entry; episodes without a row are those that its process has lost.
+    """Summarise the rows of an entry; episodes without a row are those that an interrupted run has left.
 
     Args:
         entry: label.
@@ -102,15 +102,15 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         score: of the track.
         episodes: how many the suite has.
     """
-    lost = episodes - len(rows) if score.worst is not None else 0
+    left = episodes - len(rows) if score.worst is not None else 0
     values = [score.function(row) for row in rows]
     units: list[Hashable] = [task_key(row) if "task" in row else row["unit"] for row in rows]
-    values += [float(score.worst or 0.0)] * lost
-    units += [("lost", k) for k in range(lost)]
+    values += [float(score.worst or 0.0)] * left
+    units += [("left", k) for k in range(left)]
     reasons = [_reason(row) for row in rows]
     faults = Counter(reason for reason in reasons if reason is not None)
-    if lost:
-        faults[LOST_PROCESS] += lost
+    if left:
+        faults[NOT_RUN] += left
     times = [seconds for row in rows if (seconds := _p95(row)) is not None]
     contacts = [float(n) for row in rows if (n := _contacts(row)) is not None]
     return Line(

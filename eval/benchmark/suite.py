@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 import yaml
 from pydantic import AfterValidator, Field
 
@@ -127,6 +128,11 @@ class Suite(StrictModel):
         stated |= {key: self.frozen.get(key, "") for key in _given(track)}
         part = Suite(name=name, tracks={name: track}, frozen=stated)
         return part.content_hash()
+
+
+def given_seed(seed: int) -> int:
+    """Return the 32-bit seed that an entry is given: it is not the one that the truth was drawn with."""
+    return int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
 
 
 def _given(track: DrivingTrack | SlamTrack | PredictionTrack) -> list[str]:

@@ -14,6 +14,7 @@ from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.studies.row_file import read_rows
 from vssm_gym.eval.sweep import worker
+from vssm_gym.eval.sweep.supervision import DEAD, reason_of
 from vssm_gym.files.line_file import LineFile
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
@@ -79,12 +80,17 @@ def run_units(
                     on_progress("runs", number, len(units))
                 if (unit.entry, unit.unit) in done:
                     continue
-                pool = pool or _pool()
+                pool, fault = pool or _pool(), None
                 try:
                     found = pool.submit(run, unit).result()
                 except BrokenProcessPool:
                     pool.shutdown(wait=False)
-                    pool, fault = None, "its process has died, or did not return"
+                    pool, fault = None, DEAD
+                except (InputError, OutputError):
+                    raise
+                except Exception as error:  # of code that the entry has left behind, such as a patched library
+                    fault = reason_of(error)
+                if fault is not None:
                     found = {"score": worst(unit), "success": False, "fault": fault, "p95": None, "measured": {}}
                     found["content"] = None
                 row = UnitRow(entry=unit.entry, unit=unit.unit, version=package_version(), **found)

@@ -7,7 +7,7 @@ import pytest
 
 from vssm_gym.eval.benchmark import page
 from vssm_gym.eval.benchmark.results import Entrant, Manifest, Table, _placed, score_of, step_of
-from vssm_gym.eval.benchmark.scores import SCORES, line
+from vssm_gym.eval.benchmark.scores import NOT_RUN, SCORES, line
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack
 from vssm_gym.geometry.car import Car
 
@@ -50,17 +50,17 @@ def test_explored_is_the_mean_coverage_over_the_time_limit():
 def test_a_line_of_an_entry():
     rows = [driven(0), driven(1, success=False, failure="fault: ValueError: no"), driven(2, collisions=4)]
     found = line("mine", rows, SCORES["spl"], 4)
-    assert found.score.mean == pytest.approx((0.5 + 0.0 + 0.5 + 0.0) / 4)  # the fourth episode was lost
+    assert found.score.mean == pytest.approx((0.5 + 0.0 + 0.5 + 0.0) / 4)  # the fourth episode was not run
     assert found.score.low < found.score.mean < found.score.high
     assert found.success == 0.5
     assert found.collisions == 2.0
     assert found.p95 == pytest.approx(0.1)
-    assert found.faults == {"ValueError: no": 1, "its process has died": 1}
+    assert found.faults == {"ValueError: no": 1, NOT_RUN: 1}
 
 
 def test_an_entry_without_any_row_has_the_worst_score():
     found = line("mine", [], SCORES["spl"], 3)
-    assert (found.score.mean, found.success, found.p95, found.faults) == (0.0, 0.0, None, {"its process has died": 3})
+    assert (found.score.mean, found.success, found.p95, found.faults) == (0.0, 0.0, None, {NOT_RUN: 3})
 
 
 def units(*scores):
