@@ -178,7 +178,7 @@ def make_agent(name: str) -> Agent:
         The agent; ``reset`` opens an episode.
 
     Raises:
-        InputError: an unknown agent or planner, an agent that takes none, a policy file that cannot be read, or an agent
+        InputError: an unknown agent or planner, an agent that takes none, a policy file that cannot be read, or one
             that states something else than its class of its robot, its task or what it needs.
     """
     kind: Any = agent_type(name)
