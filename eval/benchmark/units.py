@@ -30,6 +30,7 @@ class UnitRow(StrictModel):
 
     entry: str
     unit: str
+    scene: str | None = None  # of a drive: those of one scene are not independent
     score: float
     success: bool
     fault: str | None
@@ -40,13 +41,16 @@ class UnitRow(StrictModel):
 
 
 class _Unit(Protocol):
-    """Describe a unit: an entry's label and the name of what it runs on."""
+    """Describe a unit: an entry's label, the name of what it runs on, and the scene that it shares with others."""
 
     @property
     def entry(self) -> str: ...
 
     @property
     def unit(self) -> str: ...
+
+    @property
+    def cluster(self) -> str | None: ...
 
 
 U = TypeVar("U", bound=_Unit)
@@ -93,7 +97,7 @@ def run_units(
                 if fault is not None:
                     found = {"score": worst(unit), "success": False, "fault": fault, "p95": None, "measured": {}}
                     found["content"] = None
-                row = UnitRow(entry=unit.entry, unit=unit.unit, version=package_version(), **found)
+                row = UnitRow(entry=unit.entry, unit=unit.unit, scene=unit.cluster, version=package_version(), **found)
                 file.append(row.model_dump_json().encode() + b"\n", sync=True)
     except (InputError, OutputError) as error:
         raise error.with_traceback(None) from None

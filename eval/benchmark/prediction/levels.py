@@ -61,7 +61,7 @@ def nats(prediction: ImagePrediction, image: RGBD, sensor_noise: str) -> Float[n
 
 @cache
 def depth_edges(sensor_noise: str) -> Float[np.ndarray, "edges"]:
-    """Return the edges of the bins of depth from 0 to MAX_DEPTH, m: each holds whole steps of the camera's disparity."""
+    """Return the edges of the bins of depth from 0 to MAX_DEPTH, m; each holds whole steps of the disparity."""
     noise = PRESETS[sensor_noise]
     if noise.disparity_step == 0.0:
         return np.linspace(0.0, MAX_DEPTH, round(MAX_DEPTH / LEAST_BIN) + 1)

@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from vssm_gym.agents.base import AgentContext
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.eval.bench.prediction.contract import Prediction
 from vssm_gym.eval.bench.prediction.models import with_map
 from vssm_gym.eval.bench.prediction.run import (
@@ -23,8 +23,8 @@ from vssm_gym.eval.bench.prediction.run import (
     thinned,
     times,
 )
-from vssm_gym.eval.benchmark.entries import find_entry
 from vssm_gym.eval.benchmark.content import content_of
+from vssm_gym.eval.benchmark.entries import find_entry
 from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.benchmark.prediction.levels import nats as nats_of
 from vssm_gym.eval.benchmark.suite import given_seed
@@ -52,14 +52,19 @@ class PredictionUnit:
     @property
     def unit(self) -> str:
         """Return the drive's name."""
-        return f"{Path(self.scene).stem}-{self.number}"
+        return f"{scene_name(self.scene)}-{self.number}"
+
+    @property
+    def cluster(self) -> str:
+        """Return the scene's name."""
+        return scene_name(self.scene)
 
 
 def run_drive(unit: PredictionUnit) -> dict[str, Any]:
     """Run the entry of a unit on its drive, and return the row.
 
-    The model's time is that of `begin`, `observe` and `predict`; what a prediction takes to be scored has a limit of its
-    own, as large. A prediction is scored before the model sees the next image.
+    The model's time is that of `begin`, `observe` and `predict`; what a prediction takes to be scored has a limit of
+    its own, as large. A prediction is scored before the model sees the next image.
     """
     given = _drives(unit.scene, unit.count, unit.seed, unit.map_file)[unit.number]
     drive, context = given.drive, given.drive.context

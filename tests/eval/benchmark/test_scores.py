@@ -63,9 +63,20 @@ def test_an_entry_without_any_row_has_the_worst_score():
     assert (found.score.mean, found.success, found.p95, found.faults) == (0.0, 0.0, None, {NOT_RUN: 3})
 
 
+def test_starts_in_one_home_are_not_independent():
+    rows = [driven(k, curve={}, scene_hash="ab"[k // 4], success=k < 4) for k in range(8)]
+    assert line("mine", rows, SCORES["spl"], 8).score.tasks == 2
+    assert line("mine", rows[:4], SCORES["spl"], 4).score.tasks == 4  # one home: the interval is for that home alone
+    assert line("mine", [driven(k) for k in range(4)], SCORES["spl"], 4).score.tasks == 4
+    drives = [row | {"scene": scene} for row, scene in zip(units(1.0, 2.0, 3.0, 4.0), "aabb", strict=True)]
+    found = line("mine", drives, SCORES["nats"], 4).score
+    assert (found.tasks, found.episodes) == (2, 4)
+    assert found.low < 1.0  # of two scenes nothing certain can be said
+
+
 def units(*scores):
     """Return rows of SLAM."""
-    shared = {"success": True, "fault": None, "p95": 0.2, "version": "1"}
+    shared = {"success": True, "fault": None, "scene": None, "p95": 0.2, "version": "1"}
     return [{"unit": f"walk-{k}", "score": score} | shared for k, score in enumerate(scores)]
 
 
