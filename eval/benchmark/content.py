@@ -12,20 +12,19 @@ import numpy as np
 POSE_DIGITS = 3  # of metres and of radians or of entries of a rotation
 TILES = 4  # along each side of an image
 DEPTH_DIGITS, GREY_DIGITS = 1, -1  # of means in metres and in grey levels
-EVERY = 10  # images of which one counts
+EVERY = 10  # images of a run of which one is hashed
 
 
 def content_of(poses: np.ndarray, images: Iterable[tuple[np.ndarray, np.ndarray]]) -> str:
-    """Return the first 16 hex digits of the SHA-256 of true poses and of some images.
+    """Return the first 16 hex digits of the SHA-256 of true poses and of images.
 
     Args:
-        poses: of any form, one an image.
+        poses: of any form.
         images: colour ``(height, width, 3)`` in grey levels and depth ``(height, width)`` in m, in order.
     """
     digest = hashlib.sha256(_rounded(poses, POSE_DIGITS))
-    for number, (rgb, depth) in enumerate(images):
-        if number % EVERY == 0:
-            digest.update(_rounded(_tiles(rgb), GREY_DIGITS) + _rounded(_tiles(depth), DEPTH_DIGITS))
+    for rgb, depth in images:
+        digest.update(_rounded(_tiles(rgb), GREY_DIGITS) + _rounded(_tiles(depth), DEPTH_DIGITS))
     return digest.hexdigest()[:16]
 
 

@@ -23,7 +23,7 @@ from vssm_gym.eval.bench.prediction.run import (
     thinned,
     times,
 )
-from vssm_gym.eval.benchmark.content import content_of
+from vssm_gym.eval.benchmark.content import EVERY, content_of
 from vssm_gym.eval.benchmark.entries import find_entry
 from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.benchmark.prediction.levels import nats as nats_of
@@ -100,7 +100,7 @@ def run_drive(unit: PredictionUnit) -> dict[str, Any]:
         "fault": fault,
         "p95": float(np.percentile(warm, 95)) if warm else None,
         "measured": {f"nats_{seconds:g}_s": value for seconds, value in mean.items()},
-        "content": content_of(drive.planar, drive.images),
+        "content": content_of(drive.planar, drive.images[::EVERY]),
     }
 
 

@@ -1,6 +1,5 @@
 """Run a SLAM method on a recording, image by image, and compare its trajectory with the true one."""
 
-import hashlib
 import time
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -14,16 +13,15 @@ from vssm_gym.data.recording import record_handheld, record_wandering
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.slam import ASTRAY_ERROR, FRAME_RATE
+from vssm_gym.eval.benchmark.content import EVERY, content_of
 from vssm_gym.eval.benchmark.entries import find_entry
 from vssm_gym.eval.benchmark.suite import Recording, given_seed
 from vssm_gym.eval.sweep.supervision import FARTHEST_ESTIMATE, Supervisor, WrongResultError, floats
-from vssm_gym.files.bounded import read_bytes
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import thin
 
 WARM = 5  # images at the beginning whose time is not counted: methods compile or allocate
-TRUTH, TRUTH_BYTES = "groundtruth.txt", 16 << 20  # of a recording, and its largest size
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ def run_recording(unit: SlamUnit) -> dict[str, Any]:
         "fault": supervisor.fault,
         "p95": float(np.percentile(seconds[WARM:], 95)) if len(seconds) > WARM else None,
         "measured": {} if final is None else {"ate_online": _ate(sequence, times, online), "images": float(len(times))},
-        "content": hashlib.sha256(read_bytes(unit.folder / TRUTH, TRUTH_BYTES)).hexdigest()[:16],
+        "content": _content(unit.folder),
     }
 
 
@@ -121,6 +119,14 @@ def _tracked(method: Any, stamp: float, rgb: np.ndarray, depth: np.ndarray) -> n
     if pose is None:
         raise WrongResultError(f"track was expected to return a rigid pose (4, 4); found {found!r:.80}")
     return pose
+
+
+@lru_cache(maxsize=1)
+def _content(folder: Path) -> str:
+    """Return a hash of what a recording holds, at the images that methods are given."""
+    reader = _reader(folder)
+    chosen = thin(reader.sequence.times, FRAME_RATE)[::EVERY]
+    return content_of(reader.sequence.true_poses(), (reader[index] for index in chosen))
 
 
 def _final(method: Any, online: np.ndarray) -> np.ndarray:

@@ -15,9 +15,12 @@ from vssm_gym.eval.benchmark import results
 from vssm_gym.eval.benchmark.results import MANIFEST
 from vssm_gym.eval.benchmark.run import PAGE, RESULTS, run_benchmark
 from vssm_gym.eval.benchmark.suite import SUITES, read_suite
+from vssm_gym.eval.benchmark.units import ROWS, UnitRow
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import runner, worker
+
+TRACKS = ("navigation", "mapping", "car", "exploration", "slam", "prediction")
 
 
 @pytest.fixture
@@ -46,6 +49,8 @@ def test_a_strangers_agent_enters_beside_a_crashing_one_and_one_of_the_package(i
     found = json.loads((out / RESULTS).read_text())
     assert found["suite"] == "rooms"
     assert {"processor", "cores", "accelerator"} <= found["machine"].keys()
+    assert found["tracks"]["mapping"]["wall_seconds"] > 0.0
+    assert found["tracks"]["mapping"]["processor_seconds"] > 0.0
     table = found["tracks"]["mapping"]["entries"]
     assert table.keys() == {"strangers_straight", "strangers_crash", "random"}  # the car's agent has its own track
     assert table["strangers_crash"]["score"]["mean"] == 0.0
@@ -171,6 +176,40 @@ def test_an_entry_that_ends_its_process_loses_its_own_episodes_alone(tmp_path):
     assert len(before.splitlines()) == 4
     assert run("--resume").returncode == 0
     assert log.read_bytes() == before
+
+
+def test_content_that_differs_from_that_of_a_reference_is_said(tmp_path):
+    suite = read_suite(SUITES / "small-v1.yaml")
+    folders = [tmp_path / name for name in ("own", "kept")]
+    for folder, contents in zip(folders, (("a", "b"), ("a", "c")), strict=True):
+        (folder / "slam").mkdir(parents=True)
+        rows = [
+            UnitRow(
+                entry="mine", unit=f"walk-{k}", score=0.1, success=True, fault=None, p95=None, measured={}, content=one,
+                version="1",
+            )
+            for k, one in enumerate(contents)
+        ]  # fmt: skip
+        (folder / "slam" / ROWS).write_text("".join(row.model_dump_json() + "\n" for row in rows))
+    machine = {"processor": "CPU", "cores": 1, "of_cores": 2, "accelerator": None, "system": "Linux"}
+    tracks = {"slam": suite.track_hash("slam")}
+    kept = results.Manifest(suite="s", suite_hash="0", tracks=tracks, entries=(), version="1", machine=machine)
+    [notice] = results.differing_content(suite, folders[0], {folders[1]: kept})
+    assert notice.startswith("slam: walk-1 differ from those of the reference kept")
+    other = kept.model_copy(update={"tracks": {"slam": "0" * 16}})
+    assert results.differing_content(suite, folders[0], {folders[1]: other}) == []
+
+
+@pytest.mark.parametrize("track", TRACKS)
+def test_each_track_of_the_small_suite_has_references(track, tmp_path):
+    suite = read_suite(SUITES / "small-v1.yaml")
+    assert set(TRACKS) == set(suite.tracks)
+    committed = results.references_of(suite, tmp_path)
+    found = [folder for folder in committed if results.tables(suite, folder, {}) and (folder / track).is_dir()]
+    if not found:
+        pytest.skip(f"{track} of small-v1 has no reference under eval/baselines/benchmark yet")
+    for folder in found:
+        assert any(table.name == track for table in results.tables(suite, folder, {}))
 
 
 def test_committed_references_are_rows_of_tracks_of_public_suites(tmp_path):

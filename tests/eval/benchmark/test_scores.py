@@ -9,6 +9,7 @@ from vssm_gym.eval.benchmark import page
 from vssm_gym.eval.benchmark.results import Entrant, Manifest, Table, _placed, score_of, step_of
 from vssm_gym.eval.benchmark.scores import NOT_RUN, SCORES, line
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack
+from vssm_gym.eval.benchmark.times import Took
 from vssm_gym.geometry.car import Car
 
 NAVIGATION = DrivingTrack(kind="driving", about="Drive.", score="spl", seconds=1.0, sweep={"scenes": "oak", "tasks": 1})
@@ -83,16 +84,16 @@ def units(*scores):
 def test_ranks_follow_the_better_direction_and_leave_out_what_is_given_the_pose():
     agent = lambda label, **given: Entrant(label=label, kind="agent", tracks=("navigation",), **given)
     lines = [
-        (line("late", [driven(path_length=8.0)], SCORES["spl"], 1), agent("late"), False),
-        (line("cheat", [driven(path_length=2.0)], SCORES["spl"], 1), agent("cheat", needs_pose=True), True),
-        (line("good", [driven()], SCORES["spl"], 1), agent("good"), True),
+        (line("late", [driven(path_length=8.0)], SCORES["spl"], 1), agent("late"), False, True),
+        (line("cheat", [driven(path_length=2.0)], SCORES["spl"], 1), agent("cheat", needs_pose=True), True, True),
+        (line("good", [driven()], SCORES["spl"], 1), agent("good"), True, True),
     ]
     placed = _placed(lines, NAVIGATION)
     assert [(place.line.entry, place.rank) for place in placed] == [("good", 1), ("late", 2), ("cheat", None)]
     open_to_all = NAVIGATION.model_copy(update={"pose": "observed"})
     assert [place.line.entry for place in _placed(lines, open_to_all)] == ["cheat", "good", "late"]
     slam = lambda label: Entrant(label=label, kind="slam", tracks=("slam",))
-    lines = [(line(n, units(s), SCORES["ate"], 1), slam(n), False) for n, s in (("far", 0.2), ("near", 0.1))]
+    lines = [(line(n, units(s), SCORES["ate"], 1), slam(n), False, True) for n, s in (("far", 0.2), ("near", 0.1))]
     assert [place.line.entry for place in _placed(lines, SLAM)] == ["near", "far"]
 
 
@@ -100,14 +101,17 @@ def test_a_page_shows_names_of_any_content_as_text():
     wild = "a|b [link](x) <script>\n# `y`"
     found = line(wild, units(0.1, 0.3), SCORES["ate"], 2)
     entrant = Entrant(label=wild, kind="slam", tracks=("slam",))
-    table = Table("slam", SLAM, score_of(SLAM), step_of(SLAM), _placed([(found, entrant, False)], SLAM))
+    places = [_placed([(found, entrant, False, steady)], SLAM) for steady in (True, False)]
+    table, busy = (Table("slam", SLAM, score_of(SLAM), step_of(SLAM), placed) for placed in places)
     machine = {"processor": "CPU", "cores": 1, "of_cores": 2, "accelerator": None, "system": "Linux"}
     own = Manifest(suite="s", suite_hash="0", tracks={}, entries=(entrant,), version="1", machine=machine)
-    text = page.markdown([table], own, [], ["one | two"])
+    text = page.markdown([table], own, [], ["one | two"], {"slam": Took(wall_seconds=1.0, processor_seconds=2.0)})
     row = next(text for text in text.splitlines() if text.startswith("| 1 "))
     assert row.count(" | ") == 6
     assert "200.0 (late)" in row  # of a camera with ten images a second
     assert "0.2000 [" in row
+    assert "200.0 (busy machine)" in page.markdown([busy], own, [], [], {})  # it may not be the entry that is late
+    assert "- slam: 1 s, 2 s of the processor, for all entries." in text
     assert "<script>" not in text.replace("\\<script\\>", "")
     assert "- one \\| two" in text
     assert "CPU, 1 of 2 cores, no accelerator, Linux" in text
