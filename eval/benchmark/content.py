@@ -10,9 +10,9 @@ from collections.abc import Iterable
 import numpy as np
 
 POSE_DIGITS = 3  # of metres and of radians or of entries of a rotation
-TILES = 4  # along each side of an image
+TILES_ACROSS = 4  # along each side of an image
 DEPTH_DIGITS, GREY_DIGITS = 1, -1  # of means in metres and in grey levels
-EVERY = 10  # images of a run of which one is hashed
+IMAGES_APART = 10  # images of a run of which one is hashed
 
 
 def content_of(poses: np.ndarray, images: Iterable[tuple[np.ndarray, np.ndarray]]) -> str:
@@ -30,8 +30,8 @@ def content_of(poses: np.ndarray, images: Iterable[tuple[np.ndarray, np.ndarray]
 
 def _tiles(image: np.ndarray) -> np.ndarray:
     """Return the mean of each tile of an image."""
-    rows = np.array_split(np.nan_to_num(np.asarray(image, float)), TILES)
-    return np.array([[tile.mean() for tile in np.array_split(row, TILES, axis=1)] for row in rows])
+    rows = np.array_split(np.nan_to_num(np.asarray(image, float)), TILES_ACROSS)
+    return np.array([[tile.mean() for tile in np.array_split(row, TILES_ACROSS, axis=1)] for row in rows])
 
 
 def _rounded(values: np.ndarray, digits: int) -> bytes:

@@ -215,7 +215,7 @@ def _plain(decision: "Decision", size: int) -> "Decision":
         if not fits:
             raise WrongResultError(f"{expected} expected; found {found!r:.80}")
 
-    given = decision.action
+    given: Any = decision.action
     action = np.clip(floats(given), -FARTHEST_ESTIMATE, FARTHEST_ESTIMATE).astype(np.float32)
     check(action.shape == (size,) and _finite(action), f"an action of {size} finite numbers was", given)
     given = decision.pose
@@ -233,7 +233,7 @@ def _plain(decision: "Decision", size: int) -> "Decision":
     counts = None if given is None else list(given.items()) if isinstance(given, Mapping) else [("", None)]
     fits = counts is None or all(isinstance(name, str) and _is_count(count) for name, count in counts)
     check(fits, "counts by name as responses, or None, were", given)
-    expansions = decision.expansions
+    expansions: Any = decision.expansions
     check(expansions is None or _is_count(expansions), "a count as expansions, or None, was", expansions)
     given = decision.covariance
     covariance = None if given is None else floats(given)
@@ -252,7 +252,7 @@ def _plain(decision: "Decision", size: int) -> "Decision":
         bool(decision.gives_up),
         covariance,
         None if counts is None else {name: int(count) for name, count in counts},
-        None if expansions is None else int(expansions),
+        None if expansions is None else int(expansions or 0),
     )
 
 

@@ -33,7 +33,7 @@ GREY_LEVELS = 256  # of a channel
 IGNORANT = 0.01  # share of who knows nothing in every prediction
 EITHER = 0.5  # probability of a reading by who knows nothing
 UNINFORMED = float(np.log(EITHER) - np.log(MAX_DEPTH))  # nats of a pixel with a reading by who knows nothing
-ROUNDING = 1e-3  # by which single precision may miss 0, 1 and the value before
+SINGLE_ROUNDING = 1e-3  # by which single precision may miss 0, 1 and the value before
 
 
 def nats(prediction: ImagePrediction, image: RGBD, sensor_noise: str) -> Float[np.ndarray, "pixels"]:
@@ -87,7 +87,7 @@ def _nothing(prediction: ImagePrediction, shape: tuple[int, ...]) -> np.ndarray:
     empty = RGBD(jnp.zeros(shape, jnp.float32), jnp.zeros((*shape, 3), jnp.float32), nowhere, nowhere)
     found: Any = prediction.image_log_prob(empty)
     p = np.exp(np.asarray(found.depth, float))
-    if p.shape != shape or not np.all((p >= 0.0) & (p <= 1.0 + ROUNDING)):
+    if p.shape != shape or not np.all((p >= 0.0) & (p <= 1.0 + SINGLE_ROUNDING)):
         worst = np.max(p, initial=0.0, where=np.isfinite(p))
         raise InputError(
             "prediction", "image_log_prob", f"a probability of no reading by pixel; found up to {worst:.3g}"
@@ -100,7 +100,9 @@ def _at(cdf: Any, edges: np.ndarray, value: np.ndarray, name: str) -> tuple[np.n
     asked = jnp.asarray(np.broadcast_to(edges.reshape(-1, *[1] * value.ndim), (len(edges), *value.shape)), jnp.float32)
     below = np.asarray(cdf(asked), float)
     rises = np.diff(below, axis=0) if below.shape == asked.shape else np.array(np.nan)
-    if not (np.all(rises >= -ROUNDING) and np.all((below >= -ROUNDING) & (below <= 1.0 + ROUNDING))):
+    if not (
+        np.all(rises >= -SINGLE_ROUNDING) and np.all((below >= -SINGLE_ROUNDING) & (below <= 1.0 + SINGLE_ROUNDING))
+    ):
         expected = f"a distribution function by pixel {asked.shape}, from 0 to 1 and nowhere falling"
         raise InputError("prediction", name, f"{expected}; found {_range(below)}")
     number = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)

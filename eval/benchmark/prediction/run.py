@@ -23,7 +23,7 @@ from vssm_gym.eval.bench.prediction.run import (
     thinned,
     times,
 )
-from vssm_gym.eval.benchmark.content import EVERY, content_of
+from vssm_gym.eval.benchmark.content import IMAGES_APART, content_of
 from vssm_gym.eval.benchmark.entries import find_entry
 from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.benchmark.prediction.levels import nats as nats_of
@@ -83,7 +83,9 @@ def run_drive(unit: PredictionUnit) -> dict[str, Any]:
             count = round(seconds / context.dt)
             drawn = jax.random.fold_in(jax.random.fold_in(key, frame), count)
             began = time.perf_counter()
-            made = model.call(partial(_predict, entry, drive.commands[frame : frame + count].copy(), camera, drawn))
+            made: Any = model.call(
+                partial(_predict, entry, drive.commands[frame : frame + count].copy(), camera, drawn)
+            )
             took[seconds].append(time.perf_counter() - began)
             seen = thinned(given.image(frame + count), PIXEL_STRIDE)
             if model.fault is None:
@@ -100,7 +102,7 @@ def run_drive(unit: PredictionUnit) -> dict[str, Any]:
         "fault": fault,
         "p95": float(np.percentile(warm, 95)) if warm else None,
         "measured": {f"nats_{seconds:g}_s": value for seconds, value in mean.items()},
-        "content": content_of(drive.planar, drive.images[::EVERY]),
+        "content": content_of(drive.planar, drive.images[::IMAGES_APART]),
     }
 
 

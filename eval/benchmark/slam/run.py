@@ -13,7 +13,7 @@ from vssm_gym.data.recording import record_handheld, record_wandering
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.slam import ASTRAY_ERROR, FRAME_RATE
-from vssm_gym.eval.benchmark.content import EVERY, content_of
+from vssm_gym.eval.benchmark.content import IMAGES_APART, content_of
 from vssm_gym.eval.benchmark.entries import find_entry
 from vssm_gym.eval.benchmark.suite import Recording, given_seed
 from vssm_gym.eval.sweep.supervision import FARTHEST_ESTIMATE, Supervisor, WrongResultError, floats
@@ -125,7 +125,7 @@ def _tracked(method: Any, stamp: float, rgb: np.ndarray, depth: np.ndarray) -> n
 def _content(folder: Path) -> str:
     """Return a hash of what a recording holds, at the images that methods are given."""
     reader = _reader(folder)
-    chosen = thin(reader.sequence.times, FRAME_RATE)[::EVERY]
+    chosen = thin(reader.sequence.times, FRAME_RATE)[::IMAGES_APART]
     return content_of(reader.sequence.true_poses(), (reader[index] for index in chosen))
 
 
