@@ -241,6 +241,7 @@ def _plain(decision: "Decision", size: int) -> "Decision":
     check(fits, "a covariance of (3, 3) finite numbers with a pose, or None, was", given)
     given = decision.plan
     plan = None if given is None else floats(given)
+    plan = np.zeros((0, 2)) if plan is not None and plan.shape == (0,) else plan
     fits = plan is None or (plan.ndim == 2 and plan.shape[1] == 2)
     check(fits, "waypoints (n, 2) as plan, or None, were", given)
     return Decision(
@@ -251,8 +252,8 @@ def _plain(decision: "Decision", size: int) -> "Decision":
         plan,
         bool(decision.gives_up),
         covariance,
-        None if counts is None else {name: int(count) for name, count in counts},
-        None if expansions is None else int(expansions or 0),
+        None if counts is None else {name: int(count or 0) for name, count in counts},
+        None if expansions is None else int(expansions),
     )
 
 
