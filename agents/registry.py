@@ -91,6 +91,7 @@ AGENTS: dict[str, type[Agent]] = {
     )
 }
 BUILT_IN = frozenset(AGENTS)
+FIXED = ("robot", "task", "needs_pose", "needs_map", "end_on")  # what a class states, and its instances share
 ATTRIBUTES = ("name", "robot", "task", "needs_pose", "needs_map", "reset", "act")  # of every agent's class
 
 WITH = "+"  # between a navigating agent and its planner: ``astar+theta_star``
@@ -177,10 +178,19 @@ def make_agent(name: str) -> Agent:
         The agent; ``reset`` opens an episode.
 
     Raises:
-        InputError: an unknown agent or planner, an agent that takes none, or a policy file that cannot be read.
+        InputError: an unknown agent or planner, an agent that takes none, a policy file that cannot be read, or one
+            that states something else than its class of its robot, its task or what it needs.
     """
     kind: Any = agent_type(name)
     if name.startswith(PREFIX):
         return kind(name.removeprefix(PREFIX))
     planner = name.partition(WITH)[2]
-    return kind(replace(kind.navigation, planner=planner)) if planner else kind()
+    agent: Agent = kind(replace(kind.navigation, planner=planner)) if planner else kind()
+    for attribute in FIXED:
+        of_class, own = (getattr(one, attribute, None) for one in (kind, agent))
+        if own != of_class:
+            expected = (
+                f"{of_class!r}, as its class has it, where it is read before the agent is made; found {own!r:.100}"
+            )
+            raise InputError(f"agent {kind.__name__}", attribute, expected)
+    return agent

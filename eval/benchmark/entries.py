@@ -5,10 +5,8 @@ comes with the package · a policy's file. One reference is enough for every tra
 what it is, and an agent by its robot and task what it drives.
 """
 
-import hashlib
 import importlib
 import importlib.util
-import inspect
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -24,6 +22,7 @@ from vssm_gym.errors import InputError, did_you_mean
 from vssm_gym.eval.benchmark.prediction.models import PREDICTORS
 from vssm_gym.eval.benchmark.slam.methods import SLAM_METHODS
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack, Suite, Track
+from vssm_gym.eval.sweep.own_agents import code_hash
 
 Kind: TypeAlias = Literal["agent", "slam", "predictor"]
 METHODS: dict[Kind, tuple[str, ...]] = {
@@ -45,7 +44,7 @@ class Entry:
         kind: of the entry.
         label: names it in tables and rows; of an agent it is also what a sweep calls it.
         make: makes it, without arguments.
-        code: first 16 hex digits of the SHA-256 of the class's source; None of what comes with the package.
+        code: hash of the code that the class is made of; None of what comes with the package.
     """
 
     reference: str
@@ -142,19 +141,13 @@ def _of_class(reference: str, found: Any, kind: Kind | None = None) -> Entry:
         raise InputError("entry", reference, f"the class attribute name, a printable text; found {name!r:.80}")
     if fitting[0] == "agent":
         register_agent(found)  # which checks its attributes, too
-    elif name in {**SLAM_METHODS, **PREDICTORS}:
+        made = lambda: make_agent(name)
+        _loaded(reference, made)
+        return Entry(reference, "agent", name, made, code_hash(found))
+    if name in {**SLAM_METHODS, **PREDICTORS}:
         raise InputError("entry", reference, f"a name that nothing of the package has; found {name!r}")
     _loaded(reference, found)
-    return Entry(reference, fitting[0], name, found, _code(found))
-
-
-def _code(kind: type) -> str:
-    """Return a hash of a class's source, or of its name where it has none."""
-    try:
-        source = inspect.getsource(kind)
-    except (OSError, TypeError):
-        source = kind.__qualname__
-    return hashlib.sha256(source.encode()).hexdigest()[:16]
+    return Entry(reference, fitting[0], name, found, code_hash(found))
 
 
 def _loaded(reference: str, call: Callable[[], Any]) -> Any:

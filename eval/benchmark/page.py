@@ -1,17 +1,24 @@
 """Write the results of a benchmark as Markdown: a table a track, then versions and machines."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from vssm_gym.eval.benchmark.machine import described
 from vssm_gym.eval.benchmark.results import Manifest, Place, Table
 from vssm_gym.eval.benchmark.suite import DrivingTrack
+from vssm_gym.eval.benchmark.times import Took
 from vssm_gym.viz.text import shortened, visible
 
 _ESCAPED = str.maketrans({character: f"\\{character}" for character in "\\`*[]<>|#"})
 
 
-def markdown(tables: Sequence[Table], own: Manifest, references: Iterable[Manifest], notices: Iterable[str]) -> str:
-    """Return the page of a run."""
+def markdown(
+    tables: Sequence[Table],
+    own: Manifest,
+    references: Iterable[Manifest],
+    notices: Iterable[str],
+    times: Mapping[str, Took],
+) -> str:
+    """Return the page of a run; ``times`` holds what each track took, s."""
     parts = [f"# Benchmark {_text(own.suite)}\n", f"Entries: {', '.join(_text(one.label) for one in own.entries)}.\n"]
     parts += [_section(table) for table in tables]
     parts.append("## How it was made\n")
@@ -21,7 +28,11 @@ def markdown(tables: Sequence[Table], own: Manifest, references: Iterable[Manife
     parts.append(
         _table(["rows", "hash of the suite", "version", "machine", "load"], [list(map(_text, one)) for one in lines])
     )
-    parts += [f"- {_text(notice)}" for notice in notices]
+    took = [
+        f"- {name}: {of.wall_seconds:.0f} s, {of.processor_seconds:.0f} s of the processor, for all entries."
+        for name, of in times.items()
+    ]
+    parts += [*took, *(f"- {_text(notice)}" for notice in notices)]
     return "\n".join(parts).rstrip() + "\n"
 
 
@@ -52,14 +63,15 @@ def _cells(place: Place, table: Table, contacts: bool, observed: bool) -> list[s
     line, digits = place.line, table.score.digits
     given = [what for what, needs in (("pose", place.entrant.needs_pose), ("map", place.entrant.needs_map)) if needs]
     name = f"{_text(line.entry)} (reference)" if place.reference else f"**{_text(line.entry)}**"
-    late = table.step is not None and line.p95 is not None and line.p95 > table.step
+    slow = table.step is not None and line.p95 is not None and line.p95 > table.step
+    late = "" if not slow else " (late)" if place.steady else " (busy machine)"
     return [
         "-" if place.rank is None else str(place.rank),
         name,
         line.score.text(digits),
         f"{100.0 * line.success:.0f} %",
         *(["-" if line.collisions is None else f"{line.collisions:.2f}"] if contacts else []),
-        "-" if line.p95 is None else f"{1e3 * line.p95:.1f}{' (late)' if late else ''}",
+        "-" if line.p95 is None else f"{1e3 * line.p95:.1f}{late}",
         str(line.episodes),
         *([" and ".join(given) or "neither"] if observed else []),
         str(sum(line.faults.values())),

@@ -60,12 +60,14 @@ class Place:
         entrant: the entry.
         rank: from 1; None of an entry that is not ranked, because it is given the true pose where others estimate it.
         reference: whether it is of the committed references.
+        steady: whether no more processes ran or waited than there are cores when its run began: times are its own.
     """
 
     line: Line
     entrant: Entrant
     rank: int | None
     reference: bool
+    steady: bool
 
 
 @dataclass(frozen=True)
@@ -100,12 +102,13 @@ def tables(suite: Suite, out: Path, references: Mapping[Path, Manifest]) -> list
     """Return the tables of the tracks in which the folder of a run has rows, with the references' lines."""
     found = []
     for name, track in suite.tracks.items():
-        lines = [(line, entrant, False) for line, entrant in _lines(name, track, out, read_manifest(out))]
+        own = read_manifest(out)
+        lines = [(*found, False, _steady(own)) for found in _lines(name, track, out, own)]
         if not lines:
             continue
         for folder, manifest in references.items():
             if manifest.tracks.get(name) == suite.track_hash(name):
-                lines += [(line, entrant, True) for line, entrant in _lines(name, track, folder, manifest)]
+                lines += [(*found, True, _steady(manifest)) for found in _lines(name, track, folder, manifest)]
         found.append(Table(name, track, score_of(track), step_of(track), _placed(lines, track)))
     return found
 
@@ -137,15 +140,43 @@ def _lines(name: str, track: Track, folder: Path, manifest: Manifest) -> list[tu
     return [(line(one.label, of[one.label], score_of(track), count), one) for one in entrants]
 
 
-def _placed(lines: Sequence[tuple[Line, Entrant, bool]], track: Track) -> tuple[Place, ...]:
+def _steady(manifest: Manifest) -> bool:
+    """Return whether the machine of a run had a core for each of its processes when it began."""
+    return manifest.load is not None and manifest.load < (manifest.machine["cores"] or 0)
+
+
+def differing_content(suite: Suite, out: Path, references: Mapping[Path, Manifest]) -> list[str]:
+    """Return notices of recordings and drives that were others for a reference than they are in ``out``."""
+    notices = []
+    for name, track in suite.tracks.items():
+        own = {} if isinstance(track, DrivingTrack) else _contents(out / name / ROWS)
+        for folder, manifest in references.items():
+            other = _contents(folder / name / ROWS) if manifest.tracks.get(name) == suite.track_hash(name) else {}
+            units = [unit for unit, content in own.items() if unit in other and not content & other[unit]]
+            if units:
+                what = "the same seeds have made other images or poses here"
+                notices.append(f"{name}: {', '.join(units)} differ from those of the reference {folder.name}: {what}.")
+    return notices
+
+
+def _contents(path: Path) -> dict[str, set[str]]:
+    """Return the hashes of what was given to entries, by unit."""
+    found: dict[str, set[str]] = {}
+    for row in read_rows(path, UnitRow) if path.is_file() else []:
+        if row["content"] is not None:
+            found.setdefault(row["unit"], set()).add(row["content"])
+    return found
+
+
+def _placed(lines: Sequence[tuple[Line, Entrant, bool, bool]], track: Track) -> tuple[Place, ...]:
     """Rank lines by their score; those that do not count stand after the others."""
     sign = -1.0 if score_of(track).direction == "higher" else 1.0
     apart = isinstance(track, DrivingTrack) and track.pose == "estimated"
     order = sorted(lines, key=lambda found: (apart and found[1].needs_pose, sign * found[0].score.mean))
     places = []
-    for number, (found, entrant, reference) in enumerate(order, start=1):
+    for number, (found, entrant, reference, steady) in enumerate(order, start=1):
         ranked = not (apart and entrant.needs_pose)
-        places.append(Place(found, entrant, number if ranked else None, reference))
+        places.append(Place(found, entrant, number if ranked else None, reference, steady))
     return tuple(places)
 
 

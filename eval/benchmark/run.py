@@ -13,21 +13,23 @@ from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.benchmark import page
 from vssm_gym.eval.benchmark.entries import Entry, find_entries
 from vssm_gym.eval.benchmark.machine import described, load, machine
-from vssm_gym.eval.benchmark.prediction.run import UNINFORMED, PredictionUnit, run_drive
+from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
+from vssm_gym.eval.benchmark.prediction.run import PredictionUnit, run_drive
 from vssm_gym.eval.benchmark.results import (
     MANIFEST,
     Entrant,
     Manifest,
     as_json,
+    differing_content,
     read_manifest,
     references_of,
     tables,
 )
 from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
 from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTrack, Suite, check_frozen, read_suite
+from vssm_gym.eval.benchmark.times import Took, read_times, timed
 from vssm_gym.eval.benchmark.units import run_units
 from vssm_gym.eval.studies.calibration.rows import MAP_VOXEL
-from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import check_names
 from vssm_gym.eval.sweep.runner import leave_unguarded_import, run_sweep
 from vssm_gym.files.atomic import atomic_write
@@ -92,7 +94,8 @@ def run_benchmark(
     notices: list[str] = []
     with owned_folder(out, owner, resume):
         for name, entering in chosen.items():
-            notices += _run_track(suite, suite_path.parent, name, entering, out / name, workers, on_progress)
+            with timed(out, name):
+                _run_track(suite, suite_path.parent, name, entering, out / name, workers, on_progress)
         return _write(suite, out, manifest, notices)
 
 
@@ -117,57 +120,50 @@ def _run_track(
     folder: Path,
     workers: int,
     on_progress: OnProgress | None,
-) -> list[str]:
-    """Run a track for the entries that it is for; return what a reader of its table should know."""
+) -> None:
+    """Run a track for the entries that it is for."""
     track = suite.tracks[name]
     if isinstance(track, SlamTrack):
-        recordings = {one: ensure_recording(one, folder / "recordings", on_progress) for one in track.recordings}
+        recordings = {one: ensure_recording(one, folder / "recordings", on_progress) for one in track.located(beside)}
         runs = [
             SlamUnit(entry.label, entry.reference, one, path, track.seconds)
             for entry in entries
             for one, path in recordings.items()
         ]
         run_units(runs, run_recording, standing_still, folder, on_progress)
-        return []
-    if isinstance(track, PredictionTrack):
+    elif isinstance(track, PredictionTrack):
         drives = [
             PredictionUnit(entry.label, entry.reference, scene, k, track.drives, track.seed, map_file, track.seconds)
-            for scene in track.scenes
+            for scene in track.located(beside)
             for map_file in [_map_of(track, scene, folder, on_progress)]
             for entry in entries
             for k in range(track.drives)
         ]
         run_units(drives, run_drive, lambda _: UNINFORMED, folder, on_progress)
-        return []
-    return _drive(track, beside, name, entries, folder, workers, on_progress)
+    else:
+        _drive(track, beside, entries, folder, workers, on_progress)
 
 
 def _drive(
     track: DrivingTrack,
     beside: Path,
-    name: str,
     entries: Sequence[Entry],
     folder: Path,
     workers: int,
     on_progress: OnProgress | None,
-) -> list[str]:
-    """Run the sweep of a track; return a notice where a process of it has died."""
+) -> None:
+    """Run the sweep of a track."""
     config = track.config(tuple(entry.label_of_sweep for entry in entries), beside)
     check_names(config, "benchmark", {"agents": "entry"})
-    given = None if track.map is None else shipped(track.map, MAPS)
-    try:
-        run_sweep(
-            config,
-            folder,
-            resume=True,
-            workers=workers,
-            map_file=given,
-            agent_seconds=track.seconds,
-            on_progress=on_progress,
-        )
-    except worker.WorkerDiedError as error:
-        return [f"{name}: {error}"]
-    return []
+    run_sweep(
+        config,
+        folder,
+        resume=True,
+        workers=workers,
+        map_file=None if track.map is None else shipped(track.map, MAPS),
+        agent_seconds=track.seconds,
+        on_progress=on_progress,
+    )
 
 
 def _map_of(track: PredictionTrack, scene: str, folder: Path, on_progress: OnProgress | None) -> Path:
@@ -186,9 +182,12 @@ def _write(suite: Suite, out: Path, now: Manifest, notices: list[str]) -> Path:
         notices = [*notices, f"A part was run by another version: {now.version}."]
     found = tables(suite, out, beside)
     stated = {name: value for name, value in own.model_dump(mode="json").items() if name not in ("entries", "tracks")}
-    content = {**stated, "tracks": {table.name: as_json(table) for table in found}, "notices": notices}
+    notices = [*notices, *differing_content(suite, out, beside)]
+    took = read_times(out)
+    of_tracks = {table.name: as_json(table) | took.get(table.name, Took()).model_dump() for table in found}
+    content = {**stated, "tracks": of_tracks, "notices": notices}
     with atomic_write(out / RESULTS) as temporary:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     with atomic_write(out / PAGE) as temporary:
-        temporary.write_text(page.markdown(found, own, beside.values(), notices), encoding="utf-8")
+        temporary.write_text(page.markdown(found, own, beside.values(), notices, took), encoding="utf-8")
     return out / PAGE

@@ -9,6 +9,7 @@
 A fault of an entry is worth the worst of these: 0, 0, 0, standing still, and knowing nothing.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean, task_key
 from vssm_gym.eval.metrics.exploration import at
 from vssm_gym.eval.metrics.failure import FAULT
@@ -24,7 +26,7 @@ from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.geometry.car import Car
 
 COVERAGE_STEP = 1.0  # s between the points at which a run's coverage is averaged
-LOST_PROCESS = "its process has died"
+NOT_RUN = "not run yet: --resume runs it"
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class Score:
     label: str
     direction: Literal["higher", "lower"]
     digits: int
-    worst: float | None = None  # of an episode without a row; None where every failure has a row
+    within: tuple[float, float]  # that a score lies in
+    worst: float | None = None  # of an episode without a row; None where it is not known
 
 
 def _spl(row: Row) -> float:
@@ -60,11 +63,11 @@ def _stored(row: Row) -> float:
 
 
 SCORES: dict[str, Score] = {
-    "spl": Score(_spl, "SPL", "higher", 3, 0.0),
-    "timely": Score(_timely, "timely success", "higher", 3, 0.0),
-    "explored": Score(_explored, "explored", "higher", 3, 0.0),
-    "ate": Score(_stored, "ATE, m", "lower", 4),
-    "nats": Score(_stored, "nats a pixel", "higher", 2),
+    "spl": Score(_spl, "SPL", "higher", 3, (0.0, 1.0), 0.0),
+    "timely": Score(_timely, "timely success", "higher", 3, (0.0, 1.0), 0.0),
+    "explored": Score(_explored, "explored", "higher", 3, (0.0, 1.0), 0.0),
+    "ate": Score(_stored, "ATE, m", "lower", 4, (0.0, math.inf)),
+    "nats": Score(_stored, "nats a pixel", "higher", 2, (UNINFORMED, math.inf)),
 }
 
 
@@ -74,11 +77,11 @@ class Line:
 
     Attributes:
         entry: its label.
-        score: with its interval over tasks.
+        score: with its interval over tasks; of explorers and world models over scenes, where there is more than one.
         success: share of the episodes; of recordings, those whose error is small; of drives, those that ran.
         collisions: steps in contact an episode, of a car collisions; None where nothing can collide.
         p95: s, 95 % point of a decision's time, the median over episodes; None where nothing was measured.
-        episodes: that the suite has, run or lost.
+        episodes: that the suite has, run or not.
         faults: how many failed by the entry's own fault, by reason.
         versions: of the package that made the rows.
     """
@@ -94,7 +97,7 @@ class Line:
 
 
 def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int) -> Line:
-    """Summarise the rows of an entry; episodes without a row are those that its process has lost.
+    """Summarise the rows of an entry; episodes without a row are those that an interrupted run has left.
 
     Args:
         entry: label.
@@ -102,20 +105,22 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         score: of the track.
         episodes: how many the suite has.
     """
-    lost = episodes - len(rows) if score.worst is not None else 0
+    left = episodes - len(rows) if score.worst is not None else 0
     values = [score.function(row) for row in rows]
-    units: list[Hashable] = [task_key(row) if "task" in row else row["unit"] for row in rows]
-    values += [float(score.worst or 0.0)] * lost
-    units += [("lost", k) for k in range(lost)]
+    units: list[Hashable] = [_cluster(row) for row in rows]
+    if len(set(units)) == 1:
+        units = [task_key(row) if "task" in row else row["unit"] for row in rows]
+    values += [float(score.worst or 0.0)] * left
+    units += [("left", k) for k in range(left)]
     reasons = [_reason(row) for row in rows]
     faults = Counter(reason for reason in reasons if reason is not None)
-    if lost:
-        faults[LOST_PROCESS] += lost
+    if left:
+        faults[NOT_RUN] += left
     times = [seconds for row in rows if (seconds := _p95(row)) is not None]
     contacts = [float(n) for row in rows if (n := _contacts(row)) is not None]
     return Line(
         entry=entry,
-        score=bootstrap_mean(values, units),
+        score=bootstrap_mean(values, units, within=score.within),
         success=float(np.sum([row["success"] for row in rows])) / max(episodes, 1),
         collisions=float(np.mean(contacts)) if contacts else None,
         p95=float(np.median(times)) if times else None,  # the first episode compiles
@@ -123,6 +128,13 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         faults=dict(faults),
         versions=tuple(dict.fromkeys(str(row.get("version")) for row in rows)),
     )
+
+
+def _cluster(row: Row) -> Hashable:
+    """Return what is drawn together of a row: of explorers and world models a scene, else the task or the recording."""
+    if "task" not in row:
+        return row.get("scene") or row["unit"]
+    return row["scene_hash"] if "curve" in row else task_key(row)
 
 
 def _reason(row: Row) -> str | None:

@@ -11,15 +11,17 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 import yaml
 from pydantic import AfterValidator, Field
 
 from vssm_gym.envs.scenes.content_hash import content_hash
 from vssm_gym.envs.scenes.generator import PREFIX
-from vssm_gym.envs.scenes.scene import load_scene
+from vssm_gym.envs.scenes.scene import built_in_scenes, load_scene
 from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError, one_of
+from vssm_gym.eval.benchmark.rules import rules_hash
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep.config import SweepConfig, check_environments
 from vssm_gym.files.atomic import atomic_write
@@ -77,8 +79,14 @@ class Recording(StrictModel):
 
     @property
     def name(self) -> str:
-        """Return a name for files and rows."""
-        return f"{scene_name(self.scene)}-{self.motion}-{self.seed}"
+        """Return a name for files and rows, which tells all fields."""
+        noise = f"-{self.noise}" if self.motion == "wander" else ""
+        return f"{scene_name(self.scene)}-{self.motion}-{self.length:g}{noise}-{self.sensor_noise}-{self.seed}"
+
+
+def located(scene: str, folder: Path) -> str:
+    """Return a scene as it is loaded: a built-in name, a seed, or a file that is relative to the suite's folder."""
+    return scene if scene in built_in_scenes() or scene.startswith(PREFIX) else str((folder / scene).resolve())
 
 
 class SlamTrack(StrictModel):
@@ -88,6 +96,14 @@ class SlamTrack(StrictModel):
     about: Text
     recordings: Annotated[tuple[Recording, ...], Field(min_length=1)]
     seconds: Seconds
+
+    def located(self, folder: Path) -> tuple[Recording, ...]:
+        """Return the recordings with scenes as they are loaded; raise :class:`InputError` for two of one name."""
+        found = tuple(one.model_copy(update={"scene": located(one.scene, folder)}) for one in self.recordings)
+        names = [one.name for one in found]
+        if twin := next((name for name in names if names.count(name) > 1), None):
+            raise InputError("suite", "recordings", f"recordings with names that differ; two are called {twin!r}")
+        return found
 
 
 class PredictionTrack(StrictModel):
@@ -103,6 +119,14 @@ class PredictionTrack(StrictModel):
     seed: Annotated[int, Field(ge=0)] = 0
     map: Text | None = None
     seconds: Seconds
+
+    def located(self, folder: Path) -> tuple[str, ...]:
+        """Return the scenes as they are loaded; raise :class:`InputError` for two of one name."""
+        found = tuple(located(scene, folder) for scene in self.scenes)
+        names = [scene_name(scene) for scene in found]
+        if twin := next((name for name in names if names.count(name) > 1), None):
+            raise InputError("suite", "scenes", f"scenes with names that differ; two are called {twin!r}")
+        return found
 
 
 Track: TypeAlias = Annotated[DrivingTrack | SlamTrack | PredictionTrack, Field(discriminator="kind")]
@@ -127,6 +151,11 @@ class Suite(StrictModel):
         stated |= {key: self.frozen.get(key, "") for key in _given(track)}
         part = Suite(name=name, tracks={name: track}, frozen=stated)
         return part.content_hash()
+
+
+def given_seed(seed: int) -> int:
+    """Return the 32-bit seed that an entry is given: it is not the one that the truth was drawn with."""
+    return int(np.random.SeedSequence([seed, 1]).generate_state(1)[0])
 
 
 def _given(track: DrivingTrack | SlamTrack | PredictionTrack) -> list[str]:
@@ -162,6 +191,8 @@ def read_suite(path: Path) -> Suite:
             raise InputError(path, "tracks", f"names that are words, for folders; found {name!r:.80}")
         if isinstance(track, DrivingTrack):
             track.config(folder=path.parent)
+        else:
+            track.located(path.parent)
     if suite.hash != suite.content_hash():
         expected = f"{suite.content_hash()}, the hash of the suite as it is; found {suite.hash!r:.80}"
         raise InputError(path, "hash", f"{expected}: a suite that has changed needs another name, and to be frozen")
@@ -177,18 +208,25 @@ def check_frozen(suite: Suite, path: Path, tracks: Iterable[str]) -> None:
 
 
 def state(suite: Mapping[str, Track], folder: Path, tracks: Iterable[str]) -> dict[str, str]:
-    """Return the hashes of the scenes, tasks and shipped maps of some tracks."""
-    found = {}
+    """Return the hashes of the rules, scenes, tasks and shipped maps of some tracks."""
+    found: dict[str, str] = {}
     for name in tracks:
         track = suite[name]
+        found[f"{name}: rules"] = _rules_of(track)
         if not isinstance(track, SlamTrack) and track.map is not None:
             found[f"map {track.map}"] = map_hash(shipped(track.map, MAPS))
         if isinstance(track, DrivingTrack):
             found |= _sweep_state(name, track.config(folder=folder))
         else:
-            scenes = track.scenes if isinstance(track, PredictionTrack) else [one.scene for one in track.recordings]
+            given = track.located(folder)
+            scenes = [one if isinstance(one, str) else one.scene for one in given]
             found |= {f"scene {scene_name(scene)}": load_scene(scene).content_hash() for scene in scenes}
     return found
+
+
+def _rules_of(track: DrivingTrack | SlamTrack | PredictionTrack) -> str:
+    """Return the hash of the numbers behind a track."""
+    return rules_hash(track.kind, track.config().env[0] if isinstance(track, DrivingTrack) else None)
 
 
 def _sweep_state(name: str, config: SweepConfig) -> dict[str, str]:

@@ -14,6 +14,7 @@ from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.studies.row_file import read_rows
 from vssm_gym.eval.sweep import worker
+from vssm_gym.eval.sweep.supervision import DEAD, reason_of
 from vssm_gym.files.line_file import LineFile
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
@@ -29,6 +30,7 @@ class UnitRow(StrictModel):
 
     entry: str
     unit: str
+    scene: str | None = None  # of a drive: those of one scene are not independent
     score: float
     success: bool
     fault: str | None
@@ -39,13 +41,16 @@ class UnitRow(StrictModel):
 
 
 class _Unit(Protocol):
-    """Describe a unit: an entry's label and the name of what it runs on."""
+    """Describe a unit: an entry's label, the name of what it runs on, and the scene that it shares with others."""
 
     @property
     def entry(self) -> str: ...
 
     @property
     def unit(self) -> str: ...
+
+    @property
+    def cluster(self) -> str | None: ...
 
 
 U = TypeVar("U", bound=_Unit)
@@ -79,15 +84,20 @@ def run_units(
                     on_progress("runs", number, len(units))
                 if (unit.entry, unit.unit) in done:
                     continue
-                pool = pool or _pool()
+                pool, fault = pool or _pool(), None
                 try:
                     found = pool.submit(run, unit).result()
                 except BrokenProcessPool:
                     pool.shutdown(wait=False)
-                    pool, fault = None, "its process has died, or did not return"
+                    pool, fault = None, DEAD
+                except (InputError, OutputError):
+                    raise
+                except Exception as error:  # of code that the entry has left behind, such as a patched library
+                    fault = reason_of(error)
+                if fault is not None:
                     found = {"score": worst(unit), "success": False, "fault": fault, "p95": None, "measured": {}}
                     found["content"] = None
-                row = UnitRow(entry=unit.entry, unit=unit.unit, version=package_version(), **found)
+                row = UnitRow(entry=unit.entry, unit=unit.unit, scene=unit.cluster, version=package_version(), **found)
                 file.append(row.model_dump_json().encode() + b"\n", sync=True)
     except (InputError, OutputError) as error:
         raise error.with_traceback(None) from None

@@ -41,7 +41,11 @@ class Interval:
 
 
 def bootstrap_mean(
-    values: Sequence[float], tasks: Sequence[Hashable], seed: int = 0, runs: Sequence[Hashable] | None = None
+    values: Sequence[float],
+    tasks: Sequence[Hashable],
+    seed: int = 0,
+    runs: Sequence[Hashable] | None = None,
+    within: tuple[float, float] | None = None,
 ) -> Interval:
     """Compute ``mean(x)`` and its 95 % interval, resampling whole tasks, and the runs of a training with them.
 
@@ -50,6 +54,7 @@ def bootstrap_mean(
         tasks: the task of each episode; those of one task are resampled together.
         seed: of the resampling; equal seeds give equal intervals.
         runs: the training run of each episode; None: one for all.
+        within: the range of the values, where it is known, for an interval over few tasks that is wide enough.
 
     Returns:
         The :class:`Interval`; its mean is NaN when ``values`` is empty.
@@ -59,7 +64,7 @@ def bootstrap_mean(
     if not len(values):
         return Interval(np.nan, np.nan, np.nan, 0, 0)
     found = resampling.scores(np.asarray(values, np.float64), tasks, [0] * len(values) if runs is None else runs)
-    bounds = resampling.bootstrap(resampling.mean, resampling.cells(found), seed)
+    bounds = resampling.bootstrap(resampling.mean, resampling.cells(found), seed, within=within)
     return replace(_interval(bounds, found), mean=float(np.mean(values)))
 
 

@@ -11,6 +11,10 @@ Runs are few. R - 1 draws of R runs make the variance between them unbiased (Rao
 interval is stretched by Student's quantile over the normal one, the more the larger the part V_R between runs of the
 variance V of theta* is (Satterthwaite, 1946). What neither task nor run explains of a single episode is counted up to
 three times (Owen), which errs on the safe side.
+
+With few tasks the same holds of them. Where the range of the scores is known and T < 15, deviations of the resamples
+are enlarged by sqrt(T / (T - 1)), which makes their variance unbiased, and Student's quantile counts the tasks' part of
+the variance with its T - 1. The ends then lie within the range, not within the scores that happened to be found.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -23,6 +27,7 @@ from scipy import stats
 
 RESAMPLES = 4000  # the Monte Carlo error of a 2.5 % quantile is then below 0.3 % of probability
 TRIMMED = 0.25  # fraction of the scores that an interquartile mean leaves out at either end
+FEW_TASKS = 15  # below which an interval of scores of a known range is widened; above it would be by less than 13 %
 _ENDS = (0.025, 0.975)  # probabilities below the two ends of an interval
 _CHUNK = 500  # resamples that are weighted at once: 500 of 3,000 scores have 12 MB
 
@@ -97,7 +102,13 @@ def interquartile_mean(
     return found
 
 
-def bootstrap(statistic: Statistic, of: Scores, seed: int = 0, minus: Scores | None = None) -> Bounds:
+def bootstrap(
+    statistic: Statistic,
+    of: Scores,
+    seed: int = 0,
+    minus: Scores | None = None,
+    within: tuple[float, float] | None = None,
+) -> Bounds:
     """Compute a statistic of each column, or its difference ``of - minus``, with the module's interval.
 
     Args:
@@ -106,6 +117,7 @@ def bootstrap(statistic: Statistic, of: Scores, seed: int = 0, minus: Scores | N
         seed: of the resampling; equal seeds give equal intervals.
         minus: the scores of another method on the same tasks, with equal indices: each task is drawn for both, and
             each method's runs apart.
+        within: the least and the largest value that the statistic can have, for few tasks; None: not known.
     """
     groups = [of] if minus is None else [of, minus]
     signs = (1.0, -1.0)[: len(groups)]
@@ -117,9 +129,16 @@ def bootstrap(statistic: Statistic, of: Scores, seed: int = 0, minus: Scores | N
     for stream, (sign, one) in enumerate(zip(signs, groups, strict=True)):
         parts = [statistic(one, weights) for weights in _weights(one, seed, stream)]
         drawn += sign * np.concatenate(parts)
-    low, high = np.quantile(drawn, _ENDS, axis=0)
-    stretch = _stretch(drawn.var(axis=0), [(_between_runs(statistic, one), one.runs) for one in groups])
+    between = [(_between_runs(statistic, one), one.runs) for one in groups]
+    variance = drawn.var(axis=0)
     least, most = (_sum_of_ends(groups, end) for end in (np.min, np.max))
+    if within is not None and of.tasks < FEW_TASKS:
+        unbiased = of.tasks / (of.tasks - 1)
+        drawn, variance = value + np.sqrt(unbiased) * (drawn - value), unbiased * variance
+        between.append((np.maximum(variance - np.sum([part for part, _ in between], axis=0), 0.0), of.tasks))
+        least, most = (np.full_like(value, end) for end in within)
+    low, high = np.quantile(drawn, _ENDS, axis=0)
+    stretch = _stretch(variance, between)
     low, high = (np.clip(end + (stretch - 1.0) * (end - value), least, most) for end in (low, high))
     return Bounds(value, low, high)
 
@@ -168,7 +187,7 @@ def _stretch(variance: np.ndarray, between: Sequence[tuple[np.ndarray, int]]) ->
     whole = np.maximum(variance, np.sum([part for part, _ in between], axis=0))
     inverse = np.sum([part**2 / (runs - 1) for part, runs in between if runs > 1] or [np.zeros_like(whole)], axis=0)
     freedom = np.divide(whole**2, inverse, out=np.full_like(whole, np.inf), where=inverse > 0.0)
-    return stats.t.ppf(_ENDS[1], freedom) / stats.t.ppf(_ENDS[1], np.inf)  # 1 exactly where runs do not differ
+    return stats.t.ppf(_ENDS[1], freedom) / stats.t.ppf(_ENDS[1], np.inf)  # 1 exactly where no part counts
 
 
 def _sum_of_ends(groups: Sequence[Scores], end: Callable[..., np.ndarray]) -> np.ndarray:

@@ -21,6 +21,7 @@ class Pool(Protocol):
     """Run jobs in worker processes, each with one thread, and return their rows as futures."""
 
     machines: int  # that have compilation caches of their own
+    processes: int  # jobs that run at once
 
     def submit(self, job: worker.Job, machine: int | None = None) -> "Future[dict[str, Any]]":
         """Return the future row of a job; ``machine`` says where it should run, None: anywhere."""
@@ -53,6 +54,7 @@ class LocalPool:
         context = multiprocessing.get_context("spawn")
         self._started = context.Event()
         arguments = self._started, own
+        self.processes = processes
         self._pool = ProcessPoolExecutor(processes, context, initializer=worker.initialise, initargs=arguments)
 
     def submit(self, job: worker.Job, machine: int | None = None) -> "Future[dict[str, Any]]":

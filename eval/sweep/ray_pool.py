@@ -39,7 +39,7 @@ class RayPool:
     """Run jobs on a cluster; a process or machine that dies costs its present episode a repetition."""
 
     def __init__(self, cluster: Cluster, processes: int, own: "tuple[type[Agent], ...]" = ()) -> None:
-        self.machines = len(cluster.machines)
+        self.machines, self.processes = len(cluster.machines), processes
         self._nodes, self._own = cluster.machines, own
         self._calls = Calls(cluster, processes)
         self._share = cache(self._calls.share)  # a file is read once

@@ -10,10 +10,8 @@ import itertools
 import json
 import multiprocessing
 import sys
-import time
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import BrokenExecutor, Future, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +32,7 @@ from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
 from vssm_gym.eval.sweep.own_agents import check_importable, code_hashes, own_agents
 from vssm_gym.eval.sweep.pools import WORKERS, PoolOf, pools
+from vssm_gym.eval.sweep.rounds import Rounds
 from vssm_gym.eval.sweep.shards import Part
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import ADVICE, RESUME, Owner, check_at_least, check_folder, owned_folder
@@ -42,8 +41,6 @@ from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
-
-SIGNAL_SECONDS = 0.5  # within which a signal that was sent to a group of processes has reached all of them
 
 
 def run_sweep(
@@ -270,55 +267,35 @@ def _run(jobs: list[worker.Job], log: EpisodeLog, pool_of: PoolOf, total: int, o
     One episode of each agent that uses the map runs first on each machine, one after the other: it fills the
     compilation cache for the others. Two workers that compile at once would take twice the time and memory.
     """
-    futures: dict[Future, worker.Job] = {}
-
-    def submit(job: worker.Job, machine: int | None = None) -> Future:
-        future = pool.submit(job, machine)
-        futures[future] = job
-        return future
-
-    def keep(future: Future) -> None:
-        row = future.result()
-        del futures[future]
-        log.append(row)
 
     def report() -> None:
         if on_progress:
             on_progress("episodes", len(log.rows), total)
 
+    def keep(row: dict[str, Any]) -> None:
+        log.append(row)
+        report()
+
     report()
-    pool = pool_of(len(jobs))
+    kept = lambda: f"{len(log.rows)} of {total} episodes are kept ({RESUME})"
+    rounds = Rounds(pool_of, len(jobs), keep, kept)
     try:
-        first = _first(jobs, pool.machines)
+        first = _first(jobs, rounds.pool.machines)
         for batch in first:
-            for future in as_completed([submit(job, machine) for machine, job in enumerate(batch)]):
-                keep(future)
-                report()
+            rounds.run([(job, machine) for machine, job in enumerate(batch)])
         begun = set(itertools.chain(*first))
-        for future in as_completed([submit(job) for job in jobs if job not in begun]):
-            keep(future)
-            report()
+        rounds.run([(job, None) for job in jobs if job not in begun])
     except KeyboardInterrupt:
-        running = [future for future in futures if future.running() or future.done()]
-        pool.stop()
-        ended: Future | None
-        for done, ended in enumerate(itertools.chain([None], as_completed(running))):
-            if ended is not None and ended.exception() is None:
-                keep(ended)
-            if on_progress and running:
-                on_progress("ending", done, len(running))
+        rounds.interrupted(lambda done, running: on_progress("ending", done, running) if on_progress else None)
         if len(log.rows) < total:
             raise
-    except BrokenExecutor as error:
-        time.sleep(SIGNAL_SECONDS)  # a signal to all processes may end a worker first: this one is then interrupted
-        raise pool.lost(f"{len(log.rows)} of {total} episodes are kept ({RESUME})") from error
     except InputError as error:
         raise error.with_traceback(None) from None
     except Exception as error:
-        error.add_note(f"{len(log.rows)} of {total} episodes are kept ({RESUME})")
+        error.add_note(kept())
         raise error.with_traceback(None) from error.__cause__
     finally:
-        pool.close()
+        rounds.close()
 
 
 def _first(jobs: Sequence[worker.Job], machines: int) -> list[list[worker.Job]]:

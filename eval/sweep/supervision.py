@@ -1,19 +1,24 @@
 """Let an entry's code fail without failing what runs it: errors, wrong results and lost time become one reason.
 
-Time is that of the processor, so that a busy machine costs an entry nothing; an entry that waits has WAITING times as
-much. A call of the entry's Python code is interrupted by an alarm when its time is used up. Native code that does not
-return ends its process some time later, which whoever started the process reports.
+Time is that of the processor, of this process and of those that it has started and that have ended, so that a busy
+machine costs an entry nothing; an entry that waits has WAITING times as much. A call of the entry's Python code is
+interrupted by an alarm when its time is used up. Native code that does not return ends its process some time later,
+which whoever started the process reports.
+
+Whatever an entry returns is read once, inside a supervised call, and kept as plain values: an attribute that raises, or
+that is another one when it is read again, harms nobody.
 """
 
 import contextlib
 import faulthandler
 import math
 import os
+import resource
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -32,6 +37,12 @@ NATIVE_GRACE = 60.0  # s after the alarm, within which native code has to return
 LONGEST_REASON = 200  # characters
 LONGEST_STATUS = 1000  # characters of a status that rows keep
 FARTHEST_ESTIMATE = 1e6  # m and rad: errors beyond are no numbers of a row
+MOST_COUNTED = 1 << 53  # of a count: more are no numbers of a row
+DEAD = "its process has died, or did not return"  # the fault of an entry that ends its process
+
+
+class WrongResultError(Exception):
+    """Say what was expected of a result of an entry, and what it was."""
 
 
 class OutOfTimeError(BaseException):
@@ -60,20 +71,35 @@ class Supervisor:
                 return function()
         except OutOfTimeError:
             self.fail(f"more than {self.seconds:g} s of processor time, or {WAITING:g} times as much on the clock")
-        except (Exception, SystemExit) as error:
-            self.fail(str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+        except BaseException as error:  # a worker ignores Ctrl-C: an interrupt is the entry's own, too
+            self.fail(reason_of(error))
         finally:
             self._used = _clocks() - before
         return None
 
     def fail(self, reason: str) -> None:
         """Keep a reason, unless there is one."""
-        self.fault = self.fault or " ".join(reason.split())[:LONGEST_REASON]
+        self.fault = self.fault or visible(" ".join(reason.split()))[:LONGEST_REASON]
+
+
+def reason_of(error: BaseException) -> str:
+    """Return an error as a reason in one line; one that cannot be printed has the name of its class alone."""
+    try:
+        words = str(error) if isinstance(error, InputError | WrongResultError) else f"{type(error).__name__}: {error}"
+    except BaseException:
+        words = type(error).__name__
+    return visible(" ".join(words.split()))[:LONGEST_REASON]
+
+
+def processor_seconds() -> float:
+    """Return the processor's time of this process and of its children that have ended, s."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def _clocks() -> np.ndarray:
     """Return the time of the processor and that of the clock, s."""
-    return np.array([time.process_time(), time.perf_counter()])
+    return np.array([processor_seconds(), time.perf_counter()])
 
 
 @contextlib.contextmanager
@@ -117,12 +143,26 @@ class _Stop:
 
 
 class SupervisedAgent:
-    """Act as an agent does, and give the episode up when it fails; ``fault`` then says why."""
+    """Act as a new agent of a class does in each episode, and give the episode up when it fails; `fault` says why.
 
-    def __init__(self, agent: "Agent", seconds: float) -> None:
-        self.name, self.robot, self.task = agent.name, agent.robot, agent.task
-        self.needs_pose, self.needs_map = agent.needs_pose, agent.needs_map
-        self._agent, self._seconds, self._supervisor = agent, seconds, Supervisor(seconds)
+    What the class states of its robot, task and needs holds; no instance can ask for more.
+
+    Args:
+        kind: the agent's class.
+        make: makes it; called at each reset, so that nothing of one episode is known in the next.
+        seconds: of processor time that it may use in an episode, its making included.
+        fault: why it has failed before it began; None: it has not.
+    """
+
+    def __init__(
+        self, kind: "type[Agent]", make: "Callable[[], Agent]", seconds: float, fault: str | None = None
+    ) -> None:
+        self.name, self.robot, self.task = kind.name, kind.robot, kind.task
+        self.needs_pose, self.needs_map = kind.needs_pose, kind.needs_map
+        self.end_on = getattr(kind, "end_on", "stop")
+        self._make, self._seconds, self._dead = make, seconds, fault
+        self._agent: Any = None
+        self._supervisor = Supervisor(seconds)
 
     @property
     def fault(self) -> str | None:
@@ -134,66 +174,109 @@ class SupervisedAgent:
         """Return the map of an agent that keeps one."""
         from vssm_gym.maps.voxel_map import VoxelMap
 
-        found = getattr(self._agent, "map", None)
+        found = self._supervisor.call(lambda: getattr(self._agent, "map", None))
         return found if isinstance(found, VoxelMap) else None
 
     def reset(self, context: "AgentContext", observation: "Observation", seed: int) -> None:
-        """Open an episode, with all of the time again."""
-        self._supervisor = Supervisor(self._seconds)
+        """Open an episode with a new agent, and with all of the time again."""
+        self._supervisor, self._agent = Supervisor(self._seconds), None
         self._form = _Stop(4, 3)
         if context.car is not None:
             self._form = _Stop(3, 2) if context.stops else _Stop(2, None)
         elif self.robot == "disc":
             self._form = _Stop(3, 2)
-        self._supervisor.call(lambda: self._agent.reset(context, observation, seed))
+        if self._dead is not None:
+            self._supervisor.fail(self._dead)
+
+        def begin() -> None:
+            self._agent = self._make()
+            self._agent.reset(context, observation, seed)
+
+        self._supervisor.call(begin)
 
     def act(self, observation: "Observation") -> "Decision":
         """Return the agent's decision; once it has failed, one that gives up."""
         from vssm_gym.agents.base import Decision, decide
 
-        if self.fault is None:
-            decision = self._supervisor.call(lambda: decide(self._agent, observation))
-            if decision is not None and (wrong := _wrong(decision, self._form.size)):
-                self._supervisor.fail(wrong)
-            if decision is not None and self.fault is None:
-                text = visible(decision.status)[:LONGEST_STATUS]
-                return decision if text == decision.status else replace(decision, status=text)
+        decision = self._supervisor.call(lambda: _plain(decide(self._agent, observation), self._form.size))
+        if decision is not None:
+            return decision
         action = np.zeros(self._form.size, np.float32)
         if self._form.stop is not None:
             action[self._form.stop] = 1.0
         return Decision(action, None, f"{FAULT}: {self.fault}", gives_up=True)
 
 
-def _wrong(decision: "Decision", size: int) -> str | None:
-    """Return what a decision lacks that an episode and its row need; None where it lacks nothing."""
-    if np.shape(decision.action) != (size,) or not _finite(decision.action):
-        return f"an action of {size} finite numbers was expected; found {decision.action!r:.80}"
-    if decision.pose is not None and not (np.shape(decision.pose) == (3,) and _finite(decision.pose)):
-        return f"a pose of 3 finite numbers, or None, was expected; found {decision.pose!r:.80}"
-    if decision.pose is not None and np.abs(np.asarray(decision.pose, float)).max() > FARTHEST_ESTIMATE:
-        return f"a pose of at most {FARTHEST_ESTIMATE:g} m was expected; found {decision.pose!r:.80}"
-    if not isinstance(decision.status, str):
-        return f"a text as status was expected; found {decision.status!r:.80}"
-    if not isinstance(decision.latency, Mapping) or not all(
-        isinstance(stage, str) and isinstance(seconds, float | int) and 0.0 <= seconds < math.inf
-        for stage, seconds in decision.latency.items()
-    ):
-        return f"seconds by stage as latency were expected; found {decision.latency!r:.80}"
-    counts = decision.responses
-    if counts is not None and not (isinstance(counts, Mapping) and all(map(_is_count, counts.values()))):
-        return f"counts by name as responses, or None, were expected; found {counts!r:.80}"
-    if decision.expansions is not None and not _is_count(decision.expansions):
-        return f"a count as expansions, or None, was expected; found {decision.expansions!r:.80}"
-    return None
+def _plain(decision: "Decision", size: int) -> "Decision":
+    """Return a decision of plain values; raise :class:`WrongResultError` where it lacks what an episode needs."""
+    from vssm_gym.agents.base import Decision
+
+    def check(fits: bool, expected: str, found: Any) -> None:
+        if not fits:
+            raise WrongResultError(f"{expected} expected; found {found!r:.80}")
+
+    given: Any = decision.action
+    action = np.clip(floats(given), -FARTHEST_ESTIMATE, FARTHEST_ESTIMATE).astype(np.float32)
+    check(action.shape == (size,) and _finite(action), f"an action of {size} finite numbers was", given)
+    given = decision.pose
+    pose = None if given is None else floats(given)
+    check(pose is None or (pose.shape == (3,) and _finite(pose)), "a pose of 3 finite numbers, or None, was", given)
+    near = pose is None or np.abs(pose).max() <= FARTHEST_ESTIMATE
+    check(near, f"a pose of at most {FARTHEST_ESTIMATE:g} m was", given)
+    status = decision.status
+    check(isinstance(status, str), "a text as status was", status)
+    given = decision.latency
+    times = [(stage, seconds) for stage, seconds in given.items()] if isinstance(given, Mapping) else None
+    fits = times is not None and all(isinstance(stage, str) and _is_time(seconds) for stage, seconds in times)
+    check(fits, "seconds by stage as latency were", given)
+    given = decision.responses
+    counts = None if given is None else list(given.items()) if isinstance(given, Mapping) else [("", None)]
+    fits = counts is None or all(isinstance(name, str) and _is_count(count) for name, count in counts)
+    check(fits, "counts by name as responses, or None, were", given)
+    expansions: Any = decision.expansions
+    check(expansions is None or _is_count(expansions), "a count as expansions, or None, was", expansions)
+    given = decision.covariance
+    covariance = None if given is None else floats(given)
+    fits = covariance is None or (pose is not None and covariance.shape == (3, 3) and _finite(covariance))
+    check(fits, "a covariance of (3, 3) finite numbers with a pose, or None, was", given)
+    given = decision.plan
+    plan = None if given is None else floats(given)
+    plan = np.zeros((0, 2)) if plan is not None and plan.shape == (0,) else plan
+    fits = plan is None or (plan.ndim == 2 and plan.shape[1] == 2)
+    check(fits, "waypoints (n, 2) as plan, or None, were", given)
+    return Decision(
+        action,
+        pose,
+        visible(status)[:LONGEST_STATUS],
+        {stage: float(seconds) for stage, seconds in times or ()},
+        plan,
+        bool(decision.gives_up),
+        covariance,
+        None if counts is None else {name: int(count or 0) for name, count in counts},
+        None if expansions is None else int(expansions),
+    )
+
+
+def floats(values: Any) -> np.ndarray:
+    """Return a copy of an array of numbers as float64, by one reading; of anything else an array without a shape.
+
+    Lists of unequal lengths, texts and objects are no such arrays.
+    """
+    try:
+        found = np.array(values)
+        return found.astype(np.float64) if found.dtype.kind in "fiub" else np.array(np.nan)
+    except (TypeError, ValueError, OverflowError):
+        return np.array(np.nan)
 
 
 def _is_count(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and bool(value >= 0)
+    return isinstance(value, int | np.integer) and bool(0 <= value <= MOST_COUNTED)
 
 
-def _finite(values: Any) -> bool:
+def _is_time(value: Any) -> bool:
+    return isinstance(value, float | int | np.floating) and bool(0.0 <= value < math.inf)
+
+
+def _finite(values: np.ndarray) -> bool:
     """Return whether an array holds finite numbers alone."""
-    try:
-        return bool(np.isfinite(np.asarray(values, float)).all())
-    except (TypeError, ValueError):
-        return False
+    return bool(np.isfinite(values).all())

@@ -65,6 +65,7 @@ class Job:
     version: str
     explored_file: Path | None = None  # for the final map of an explorer
     agent_seconds: float | None = None  # of processor time that the agent may use; its errors are then failures
+    fault: str | None = None  # with agent_seconds: why the agent has failed already, so that it is not run
 
 
 def one_thread() -> dict[str, str]:
@@ -126,9 +127,9 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
     """Run one episode, in the environment that ``wrap`` returns, and return its row for the log."""
     episode = job.episode
     try:
-        protocol, agent = protocol_of(episode.condition.env), _agent(episode.agent)
-        supervised = None if job.agent_seconds is None else SupervisedAgent(agent, job.agent_seconds)
-        agent = supervised or agent
+        protocol = protocol_of(episode.condition.env)
+        supervised = None if job.agent_seconds is None else _supervised(job, job.agent_seconds)
+        agent = supervised or _agent(episode.agent)
         learned = _map(episode.condition.env, job.map_file) if job.map_file else None
         result = protocol.run(episode, agent, job.task_file, learned, wrap=wrap)
     except (InputError, OutputError):
@@ -162,6 +163,14 @@ def release_memory() -> None:
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
+
+
+def _supervised(job: Job, seconds: float) -> SupervisedAgent:
+    """Return who makes a new agent for the episode, and lets it fail."""
+    from vssm_gym.agents.registry import agent_type, make_agent
+
+    name = job.episode.agent
+    return SupervisedAgent(agent_type(name), lambda: make_agent(name), seconds, job.fault)
 
 
 @cache

@@ -19,7 +19,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.sweep import runner, worker
 from vssm_gym.eval.sweep.config import load_config
-from vssm_gym.eval.sweep.own_agents import check_importable, code_hashes, own_agents
+from vssm_gym.eval.sweep.own_agents import check_importable, code_hash, code_hashes, own_agents
 from vssm_gym.eval.sweep.runner import run_sweep
 
 
@@ -134,10 +134,41 @@ def test_rows_of_other_code_are_not_continued(known, config, tmp_path, monkeypat
     assert read_rows(other)[0]["config_hash"] != read_rows(log)[0]["config_hash"]  # so that no merge joins them
 
 
+def test_a_hash_of_code_covers_what_is_beside_it(tmp_path, monkeypatch):
+    (tmp_path / "own_class.py").write_text("import own_help\n\nclass Own: ...\n")
+    (tmp_path / "own_help.py").write_text("STEP = 1\n")
+    (tmp_path / "own_parts").mkdir()
+    (tmp_path / "own_parts" / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    kind = importlib.import_module("own_class").Own
+    found = [code_hash(kind)]
+    assert code_hash(kind) == found[0]
+    for name in ("own_help.py", "own_class.py", "own_parts/__init__.py"):
+        (tmp_path / name).write_text((tmp_path / name).read_text() + "MORE = 2\n")
+        found.append(code_hash(kind))
+    assert len(set(found)) == 4
+
+
+def test_a_hash_of_an_installed_class_covers_its_distribution(tmp_path, monkeypatch):
+    (tmp_path / "own_installed.py").write_text("class Own: ...\n")
+    info = tmp_path / "own_installed-1.0.dist-info"
+    info.mkdir()
+    (info / "top_level.txt").write_text("own_installed\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    kind, found = importlib.import_module("own_installed").Own, []
+    for version, digest in (("1.0", "aa"), ("1.1", "aa"), ("1.1", "bb")):
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: own-installed\nVersion: {version}\n")
+        (info / "RECORD").write_text(f"own_installed.py,sha256={digest},10\n")
+        found.append(code_hash(kind))
+        (tmp_path / "unrelated.py").write_text(version)
+        assert code_hash(kind) == found[-1]
+    assert len(set(found)) == 3
+
+
 def test_a_sweep_of_built_in_agents_states_no_code(known):
     known(Halting)
     assert own_agents(["random", "astar+theta_star", "halting"]) == {"halting": Halting}
-    assert code_hashes({"halting": type("Typed", (), {})}) == {}  # nothing to read
+    assert code_hashes({"halting": type("Typed", (), {"__module__": "builtins"})}) == {}  # nothing to read
 
 
 # programs that workers import

@@ -217,3 +217,23 @@ def test_only_episodes_that_all_runs_have_are_compared():
     found = aggregate.paired_difference(rows, "spl", "p (2 seeds)", "b")
     assert (found.mean, found.episodes) == (0.5, 5)
     assert aggregate.paired_values(rows, "spl", "p (2 seeds)", "b")[0] == [0.5] * 5
+
+
+@pytest.mark.parametrize("tasks", [3, 4, 12])
+@pytest.mark.parametrize("draw", ["normal", "beta"])
+def test_intervals_over_few_tasks_contain_the_mean(tasks, draw):
+    """Without the correction these contain it in 72 to 91 %."""
+    rng, found, trials = np.random.default_rng(tasks), 0, 300
+    truth, ends = (0.0, (-np.inf, np.inf)) if draw == "normal" else (0.6, (0.0, 1.0))
+    for _ in range(trials):
+        values = rng.normal(size=tasks) if draw == "normal" else rng.beta(3.0, 2.0, tasks)
+        interval = aggregate.bootstrap_mean(values.tolist(), range(tasks), within=ends)
+        assert ends[0] <= interval.low <= interval.high <= ends[1]
+        found += interval.low <= truth <= interval.high
+    assert found >= 0.9 * trials
+
+
+def test_intervals_over_many_tasks_are_what_they_were():
+    values = np.random.default_rng(0).random(15).tolist()
+    plain, wide = (aggregate.bootstrap_mean(values, range(15), within=ends) for ends in (None, (0.0, 1.0)))
+    assert plain == wide

@@ -314,7 +314,7 @@ def test_a_worker_that_is_killed_ends_the_sweep_with_one_clear_error(folder, tmp
     workers = [pid for pid in children(process.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     os.kill(workers[0], signal.SIGKILL)
     error = process.communicate(timeout=120)[1].decode()
-    assert "InputError: sweep: workers: expected worker processes that live to the end" in error
+    assert "WorkerDiedError: sweep: workers: expected worker processes that live to the end" in error
     assert f"{len(read_rows(tmp_path / FILE))} of 60 episodes are kept (--resume" in error
 
 

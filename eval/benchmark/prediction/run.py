@@ -1,32 +1,39 @@
 """Run a world model over a drive in a scene whose map it is given, and score its predictions in nats a pixel."""
 
-import hashlib
 import math
 import time
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from vssm_gym.agents.base import AgentContext
+from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.eval.bench.prediction.contract import Prediction
 from vssm_gym.eval.bench.prediction.models import with_map
-from vssm_gym.eval.bench.prediction.run import HORIZONS, NOISE, PIXEL_STRIDE, SENSOR_NOISE, MappedDrive, scored, thinned
-from vssm_gym.eval.bench.prediction.scores import Scores
+from vssm_gym.eval.bench.prediction.run import (
+    HORIZONS,
+    NOISE,
+    PIXEL_STRIDE,
+    SENSOR_NOISE,
+    MappedDrive,
+    every_nth,
+    thinned,
+    times,
+)
+from vssm_gym.eval.benchmark.content import IMAGES_APART, content_of
 from vssm_gym.eval.benchmark.entries import find_entry
-from vssm_gym.eval.benchmark.prediction.densities import MOST_MASS, masses
+from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
+from vssm_gym.eval.benchmark.prediction.levels import nats as nats_of
+from vssm_gym.eval.benchmark.suite import given_seed
 from vssm_gym.eval.studies.calibration.drives import drives
 from vssm_gym.eval.studies.calibration.split import seed_of
 from vssm_gym.eval.sweep.supervision import Supervisor
-from vssm_gym.geometry.camera import MAX_DEPTH, Camera
+from vssm_gym.geometry.camera import Camera
 from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.model.emission import RGBD
-
-# Nats of a pixel by who knows nothing: a reading or none, any depth in range, any colour; what a failure is worth
-UNINFORMED = math.log(0.5) - math.log(MAX_DEPTH)
 
 
 @dataclass(frozen=True)
@@ -45,59 +52,71 @@ class PredictionUnit:
     @property
     def unit(self) -> str:
         """Return the drive's name."""
-        return f"{Path(self.scene).stem}-{self.number}"
+        return f"{scene_name(self.scene)}-{self.number}"
 
-
-class _Timed:
-    """Time a model, keep what it predicts for the nearest horizon, and wait for what it computes."""
-
-    def __init__(self, model: Any, nearest: int) -> None:
-        self._model, self._nearest = model, nearest
-        self.name = str(model.name)
-        self.seconds: dict[int, list[float]] = {}  # of each prediction, by the number of commands
-        self.kept: list[tuple[int, Prediction]] = []  # with the frame that it is of
-        self._frame = 0
-
-    def begin(self, context: AgentContext, image: RGBD) -> None:
-        self._model.begin(context, image)
-
-    def observe(self, command: np.ndarray, image: RGBD) -> None:
-        self._frame += 1
-        self._model.observe(command, image)
-
-    def predict(self, commands: np.ndarray, camera: Camera, key: Any) -> Prediction:
-        began = time.perf_counter()
-        prediction: Prediction = jax.block_until_ready(self._model.predict(commands, camera, key))
-        self.seconds.setdefault(len(commands), []).append(time.perf_counter() - began)
-        if len(commands) == self._nearest:
-            self.kept.append((self._frame + self._nearest, prediction))
-        return prediction
+    @property
+    def cluster(self) -> str:
+        """Return the scene's name."""
+        return scene_name(self.scene)
 
 
 def run_drive(unit: PredictionUnit) -> dict[str, Any]:
-    """Run the entry of a unit on its drive, and return the row."""
+    """Run the entry of a unit on its drive, and return the row.
+
+    The model's time is that of `begin`, `observe` and `predict`; what a prediction takes to be scored has a limit of
+    its own, as large. A prediction is scored before the model sees the next image.
+    """
     given = _drives(unit.scene, unit.count, unit.seed, unit.map_file)[unit.number]
-    supervisor = Supervisor(unit.seconds)
-    model = _Timed(find_entry(unit.reference).make(), round(min(HORIZONS) / given.drive.context.dt))
-    seed = seed_of("test", unit.seed, unit.number)
-    found = supervisor.call(lambda: scored(model, given, seed))
-    nats = {} if found is None else {seconds: _nats(of) for seconds, of in found.items()}
-    if found is not None and not all(map(math.isfinite, nats.values())):
-        supervisor.fail("its log densities are not all finite")
-    if supervisor.fault is None:
-        mass = supervisor.call(lambda: _masses(model, given, seed))
-        if mass is not None and not max(mass) <= MOST_MASS:
-            supervisor.fail(f"its densities integrate to {mass[0]:.3g} for depth and {mass[1]:.3g} for colour, not 1")
-    warm = [seconds for of in model.seconds.values() for seconds in of[1:]]  # the first of each length compiles
-    valid = supervisor.fault is None
+    drive, context = given.drive, given.drive.context
+    model, scorer = Supervisor(unit.seconds), Supervisor(unit.seconds)
+    entry: Any = model.call(lambda: find_entry(unit.reference).make())
+    model.call(lambda: entry.begin(context, given.image(0)))
+    camera = every_nth(Camera.from_matrix(context.K, *context.camera), PIXEL_STRIDE)
+    key = jax.random.key(given_seed(seed_of("test", unit.seed, unit.number)))
+    nats: dict[float, list[float]] = {seconds: [] for seconds in HORIZONS}
+    took: dict[float, list[float]] = {seconds: [] for seconds in HORIZONS}
+    starts = times(drive)
+    for frame in range(starts[-1] + 1):
+        if frame:
+            model.call(partial(_observe, entry, drive.commands[frame - 1], given.image(frame)))
+        for seconds in HORIZONS if frame in starts else ():
+            count = round(seconds / context.dt)
+            drawn = jax.random.fold_in(jax.random.fold_in(key, frame), count)
+            began = time.perf_counter()
+            made: Any = model.call(
+                partial(_predict, entry, drive.commands[frame : frame + count].copy(), camera, drawn)
+            )
+            took[seconds].append(time.perf_counter() - began)
+            seen = thinned(given.image(frame + count), PIXEL_STRIDE)
+            if model.fault is None:
+                of_image = scorer.call(partial(_mean_nats, made, seen))
+                nats[seconds].append(math.nan if of_image is None else of_image)
+        if model.fault is not None or scorer.fault is not None:
+            break
+    warm = [one for of in took.values() for one in of[1:]]  # the first of each length compiles
+    fault = model.fault or scorer.fault
+    mean = {seconds: float(np.mean(of)) for seconds, of in nats.items()} if fault is None else {}
     return {
-        "score": float(np.mean(list(nats.values()))) if valid else UNINFORMED,
-        "success": valid,
-        "fault": supervisor.fault,
+        "score": max(float(np.mean(list(mean.values()))), UNINFORMED) if mean else UNINFORMED,
+        "success": fault is None,
+        "fault": fault,
         "p95": float(np.percentile(warm, 95)) if warm else None,
-        "measured": {f"nats_{seconds:g}_s": value for seconds, value in nats.items()} if valid else {},
-        "content": hashlib.sha256(given.drive.planar.round(3).tobytes()).hexdigest()[:16],
+        "measured": {f"nats_{seconds:g}_s": value for seconds, value in mean.items()},
+        "content": content_of(drive.planar, drive.images[::IMAGES_APART]),
     }
+
+
+def _observe(entry: Any, command: np.ndarray, image: RGBD) -> None:
+    entry.observe(command.copy(), image)
+
+
+def _predict(entry: Any, commands: np.ndarray, camera: Camera, key: Any) -> Any:
+    """Return a prediction once it is computed."""
+    return jax.block_until_ready(entry.predict(commands, camera, key))
+
+
+def _mean_nats(prediction: Prediction, image: RGBD) -> float:
+    return float(np.mean(nats_of(prediction, image, SENSOR_NOISE)))
 
 
 @lru_cache(maxsize=1)
@@ -110,16 +129,3 @@ def _drives(scene: str, count: int, seed: int, map_file: Path) -> list[MappedDri
             MappedDrive(scene, type(drive)(context, drive.images, drive.commands, drive.planar, drive.contacts))
         )
     return found
-
-
-def _nats(of_drive: list[Scores]) -> float:
-    """Return the mean log density of a pixel over the predictions of a drive."""
-    return float(np.mean([np.mean(scores.depth_nats + scores.rgb_nats) for scores in of_drive]))
-
-
-def _masses(model: _Timed, given: MappedDrive, seed: int) -> tuple[float, float]:
-    """Return what the kept predictions integrate to on average, for depth and for colour."""
-    rng = np.random.default_rng([seed, 7])
-    found = [masses(made, thinned(given.image(frame), PIXEL_STRIDE), rng) for frame, made in model.kept]
-    depth, rgb = np.mean(found, axis=0)
-    return float(depth), float(rgb)

@@ -1,6 +1,5 @@
 """Run a SLAM method on a recording, image by image, and compare its trajectory with the true one."""
 
-import hashlib
 import time
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -14,16 +13,15 @@ from vssm_gym.data.recording import record_handheld, record_wandering
 from vssm_gym.data.sequences import FrameReader, Sequence, load_sequence
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.slam import ASTRAY_ERROR, FRAME_RATE
+from vssm_gym.eval.benchmark.content import IMAGES_APART, content_of
 from vssm_gym.eval.benchmark.entries import find_entry
-from vssm_gym.eval.benchmark.suite import Recording
-from vssm_gym.eval.sweep.supervision import Supervisor
-from vssm_gym.files.bounded import read_bytes
+from vssm_gym.eval.benchmark.suite import Recording, given_seed
+from vssm_gym.eval.sweep.supervision import FARTHEST_ESTIMATE, Supervisor, WrongResultError, floats
 from vssm_gym.progress import OnProgress
 from vssm_gym.slam import trajectory_error
 from vssm_gym.slam.run import thin
 
 WARM = 5  # images at the beginning whose time is not counted: methods compile or allocate
-TRUTH, TRUTH_BYTES = "groundtruth.txt", 16 << 20  # of a recording, and its largest size
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,10 @@ class SlamUnit:
     def unit(self) -> str:
         """Return the recording's name."""
         return self.recording.name
+
+    @property
+    def cluster(self) -> None:
+        """Return None: every recording counts by itself."""
 
 
 def ensure_recording(recording: Recording, folder: Path, on_progress: OnProgress | None = None) -> Path:
@@ -61,23 +63,27 @@ def run_recording(unit: SlamUnit) -> dict[str, Any]:
     sequence = load_sequence(unit.folder)
     reader, indices = _reader(unit.folder), thin(sequence.times, FRAME_RATE)
     times = sequence.times[indices]
-    supervisor, method = Supervisor(unit.seconds), find_entry(unit.reference).make()
-    supervisor.call(lambda: method.begin(reader.camera, unit.recording.seed))
+    supervisor, method = Supervisor(unit.seconds), None
+
+    def begin() -> None:
+        nonlocal method
+        method = find_entry(unit.reference).make()
+        method.begin(reader.camera, given_seed(unit.recording.seed))
+
+    supervisor.call(begin)
     poses: list[np.ndarray] = []
     seconds: list[float] = []
     for index, stamp in zip(indices, times - times[0], strict=True):
         rgb, depth = reader[index]
         began = time.perf_counter()
-        found: Any = supervisor.call(partial(method.track, float(stamp), rgb, depth))
+        pose = supervisor.call(partial(_tracked, method, float(stamp), rgb, depth))
         seconds.append(time.perf_counter() - began)
-        pose = _pose(found)
         if pose is None:
-            supervisor.fail(f"track was expected to return a rigid pose (4, 4); found {found!r:.80}")
             break
         poses.append(pose)
     online, final = np.array(poses), None
     if supervisor.fault is None:
-        final = _final(supervisor, method, online)
+        final = supervisor.call(lambda: _final(method, online))
     assert sequence.truth is not None
     still = _still(sequence, times)
     ate = still if final is None else min(_ate(sequence, times, final), still)
@@ -87,7 +93,7 @@ def run_recording(unit: SlamUnit) -> dict[str, Any]:
         "fault": supervisor.fault,
         "p95": float(np.percentile(seconds[WARM:], 95)) if len(seconds) > WARM else None,
         "measured": {} if final is None else {"ate_online": _ate(sequence, times, online), "images": float(len(times))},
-        "content": hashlib.sha256(read_bytes(unit.folder / TRUTH, TRUTH_BYTES)).hexdigest()[:16],
+        "content": _content(unit.folder),
     }
 
 
@@ -106,27 +112,43 @@ def _reader(folder: Path) -> FrameReader:
     return FrameReader(load_sequence(folder))
 
 
-def _final(supervisor: Supervisor, method: Any, online: np.ndarray) -> np.ndarray | None:
-    """Return the poses that a method knows in the end; None where it fails."""
-    found = supervisor.call(method.finish)
-    if supervisor.fault is not None:
-        return None
+def _tracked(method: Any, stamp: float, rgb: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Return the pose that a method states of an image."""
+    found = method.track(stamp, rgb, depth)
+    pose = _pose(found)
+    if pose is None:
+        raise WrongResultError(f"track was expected to return a rigid pose (4, 4); found {found!r:.80}")
+    return pose
+
+
+@lru_cache(maxsize=1)
+def _content(folder: Path) -> str:
+    """Return a hash of what a recording holds, at the images that methods are given."""
+    reader = _reader(folder)
+    chosen = thin(reader.sequence.times, FRAME_RATE)[::IMAGES_APART]
+    return content_of(reader.sequence.true_poses(), (reader[index] for index in chosen))
+
+
+def _final(method: Any, online: np.ndarray) -> np.ndarray:
+    """Return the poses that a method knows in the end."""
+    found = method.finish()
     if found is None:
         return online
-    poses = [_pose(one) for one in found] if np.shape(found) == online.shape else [None]
+    stated = floats(found)
+    poses = [_pose(one) for one in stated] if stated.shape == online.shape else [None]
     if any(pose is None for pose in poses):
-        supervisor.fail(f"finish was expected to return None or rigid poses {online.shape}; found {np.shape(found)}")
-        return None
+        expected = f"finish was expected to return None or rigid poses {online.shape}"
+        raise WrongResultError(f"{expected}; found {found!r:.80}")
     return np.array(poses)
 
 
 def _pose(found: Any) -> Float[np.ndarray, "4 4"] | None:
-    """Return a rigid pose as float64; None for anything else."""
-    if np.shape(found) != (4, 4):
+    """Return a rigid pose as float64; None for anything else, and for one that is too far for a distance."""
+    pose = floats(found)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > FARTHEST_ESTIMATE:
         return None
-    pose = np.asarray(found, np.float64)
     R, last = pose[:3, :3], pose[3]
-    rigid = np.isfinite(pose).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0
+    rigid = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0
     return pose if rigid and np.allclose(last, [0.0, 0.0, 0.0, 1.0], atol=1e-6) else None
 
 

@@ -112,6 +112,10 @@ def test_a_policy_is_an_agent_that_needs_a_map():
         ),
         ("strangers_wrong.py:Nameless", "the class attribute name, a printable text; found None"),
         ("strangers_wrong.py:Unmade", "RuntimeError: no weights"),
+        (
+            "strangers_wrong.py:Peeking",
+            r"agent Peeking: needs_pose: expected False, as its class has it, .*; found True",
+        ),
         ("strangers_wrong.py:Taken", r"register_agent: name: expected one that no other agent has; found 'astar'"),
         ("random.py:Agent", "expected a file whose name no other module has; 'random' is another's"),
         ("two words.py:Agent", "a file whose name is a word of Python"),
@@ -127,6 +131,7 @@ def test_a_wrong_reference_is_one_clear_error(folder, monkeypatch, reference, me
         "class Leaving(Straight):\n    def __init__(self): sys.exit(3)\n"
         "class Nameless:\n    def begin(self): ...\n    def observe(self): ...\n    def predict(self): ...\n"
         "class Unmade(Straight):\n    name = 'unmade'\n    def __init__(self): raise RuntimeError('no weights')\n"
+        "class Peeking(Straight):\n    name = 'peeking'\n    def __init__(self): self.needs_pose = True\n"
         "class Taken(Straight): name = 'astar'\n"
     )
     for name in ("random.py", "two words.py"):

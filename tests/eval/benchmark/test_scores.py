@@ -7,8 +7,9 @@ import pytest
 
 from vssm_gym.eval.benchmark import page
 from vssm_gym.eval.benchmark.results import Entrant, Manifest, Table, _placed, score_of, step_of
-from vssm_gym.eval.benchmark.scores import SCORES, line
+from vssm_gym.eval.benchmark.scores import NOT_RUN, SCORES, line
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack
+from vssm_gym.eval.benchmark.times import Took
 from vssm_gym.geometry.car import Car
 
 NAVIGATION = DrivingTrack(kind="driving", about="Drive.", score="spl", seconds=1.0, sweep={"scenes": "oak", "tasks": 1})
@@ -50,38 +51,49 @@ def test_explored_is_the_mean_coverage_over_the_time_limit():
 def test_a_line_of_an_entry():
     rows = [driven(0), driven(1, success=False, failure="fault: ValueError: no"), driven(2, collisions=4)]
     found = line("mine", rows, SCORES["spl"], 4)
-    assert found.score.mean == pytest.approx((0.5 + 0.0 + 0.5 + 0.0) / 4)  # the fourth episode was lost
+    assert found.score.mean == pytest.approx((0.5 + 0.0 + 0.5 + 0.0) / 4)  # the fourth episode was not run
     assert found.score.low < found.score.mean < found.score.high
     assert found.success == 0.5
     assert found.collisions == 2.0
     assert found.p95 == pytest.approx(0.1)
-    assert found.faults == {"ValueError: no": 1, "its process has died": 1}
+    assert found.faults == {"ValueError: no": 1, NOT_RUN: 1}
 
 
 def test_an_entry_without_any_row_has_the_worst_score():
     found = line("mine", [], SCORES["spl"], 3)
-    assert (found.score.mean, found.success, found.p95, found.faults) == (0.0, 0.0, None, {"its process has died": 3})
+    assert (found.score.mean, found.success, found.p95, found.faults) == (0.0, 0.0, None, {NOT_RUN: 3})
+
+
+def test_starts_in_one_home_are_not_independent():
+    rows = [driven(k, curve={}, scene_hash="ab"[k // 4], success=k < 4) for k in range(8)]
+    assert line("mine", rows, SCORES["spl"], 8).score.tasks == 2
+    assert line("mine", rows[:4], SCORES["spl"], 4).score.tasks == 4  # one home: the interval is for that home alone
+    assert line("mine", [driven(k) for k in range(4)], SCORES["spl"], 4).score.tasks == 4
+    drives = [row | {"scene": scene} for row, scene in zip(units(1.0, 2.0, 3.0, 4.0), "aabb", strict=True)]
+    found = line("mine", drives, SCORES["nats"], 4).score
+    assert (found.tasks, found.episodes) == (2, 4)
+    assert found.low < 1.0  # of two scenes nothing certain can be said
 
 
 def units(*scores):
     """Return rows of SLAM."""
-    shared = {"success": True, "fault": None, "p95": 0.2, "version": "1"}
+    shared = {"success": True, "fault": None, "scene": None, "p95": 0.2, "version": "1"}
     return [{"unit": f"walk-{k}", "score": score} | shared for k, score in enumerate(scores)]
 
 
 def test_ranks_follow_the_better_direction_and_leave_out_what_is_given_the_pose():
     agent = lambda label, **given: Entrant(label=label, kind="agent", tracks=("navigation",), **given)
     lines = [
-        (line("late", [driven(path_length=8.0)], SCORES["spl"], 1), agent("late"), False),
-        (line("cheat", [driven(path_length=2.0)], SCORES["spl"], 1), agent("cheat", needs_pose=True), True),
-        (line("good", [driven()], SCORES["spl"], 1), agent("good"), True),
+        (line("late", [driven(path_length=8.0)], SCORES["spl"], 1), agent("late"), False, True),
+        (line("cheat", [driven(path_length=2.0)], SCORES["spl"], 1), agent("cheat", needs_pose=True), True, True),
+        (line("good", [driven()], SCORES["spl"], 1), agent("good"), True, True),
     ]
     placed = _placed(lines, NAVIGATION)
     assert [(place.line.entry, place.rank) for place in placed] == [("good", 1), ("late", 2), ("cheat", None)]
     open_to_all = NAVIGATION.model_copy(update={"pose": "observed"})
     assert [place.line.entry for place in _placed(lines, open_to_all)] == ["cheat", "good", "late"]
     slam = lambda label: Entrant(label=label, kind="slam", tracks=("slam",))
-    lines = [(line(n, units(s), SCORES["ate"], 1), slam(n), False) for n, s in (("far", 0.2), ("near", 0.1))]
+    lines = [(line(n, units(s), SCORES["ate"], 1), slam(n), False, True) for n, s in (("far", 0.2), ("near", 0.1))]
     assert [place.line.entry for place in _placed(lines, SLAM)] == ["near", "far"]
 
 
@@ -89,14 +101,17 @@ def test_a_page_shows_names_of_any_content_as_text():
     wild = "a|b [link](x) <script>\n# `y`"
     found = line(wild, units(0.1, 0.3), SCORES["ate"], 2)
     entrant = Entrant(label=wild, kind="slam", tracks=("slam",))
-    table = Table("slam", SLAM, score_of(SLAM), step_of(SLAM), _placed([(found, entrant, False)], SLAM))
+    places = [_placed([(found, entrant, False, steady)], SLAM) for steady in (True, False)]
+    table, busy = (Table("slam", SLAM, score_of(SLAM), step_of(SLAM), placed) for placed in places)
     machine = {"processor": "CPU", "cores": 1, "of_cores": 2, "accelerator": None, "system": "Linux"}
     own = Manifest(suite="s", suite_hash="0", tracks={}, entries=(entrant,), version="1", machine=machine)
-    text = page.markdown([table], own, [], ["one | two"])
+    text = page.markdown([table], own, [], ["one | two"], {"slam": Took(wall_seconds=1.0, processor_seconds=2.0)})
     row = next(text for text in text.splitlines() if text.startswith("| 1 "))
     assert row.count(" | ") == 6
     assert "200.0 (late)" in row  # of a camera with ten images a second
     assert "0.2000 [" in row
+    assert "200.0 (busy machine)" in page.markdown([busy], own, [], [], {})  # it may not be the entry that is late
+    assert "- slam: 1 s, 2 s of the processor, for all entries." in text
     assert "<script>" not in text.replace("\\<script\\>", "")
     assert "- one \\| two" in text
     assert "CPU, 1 of 2 cores, no accelerator, Linux" in text

@@ -13,7 +13,7 @@ from vssm_gym.eval.benchmark.slam import run as slam_run
 from vssm_gym.eval.benchmark.slam.contract import SlamMethod
 from vssm_gym.eval.benchmark.slam.methods import SLAM_METHODS, StandingStill
 from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
-from vssm_gym.eval.benchmark.suite import Recording
+from vssm_gym.eval.benchmark.suite import Recording, given_seed
 
 METHODS = """
 import os
@@ -67,6 +67,20 @@ class Knowing(StandingStill):
         return self.poses if self.late else None
 
 
+def moved(pose, metres):
+    """Return a pose far along x."""
+    found = np.array(pose)
+    found[0, 3] = metres
+    return found
+
+
+class Odd:
+    """Raise where it is read."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+
 def test_true_poses_have_no_error_whenever_they_are_stated(monkeypatch, walk):
     for late in (False, True):
         row = scored(monkeypatch, walk, Knowing(walk[1], late))
@@ -94,6 +108,10 @@ def test_standing_still_is_the_worst(monkeypatch, walk):
         (lambda pose: pose[:3], "track was expected to return a rigid pose (4, 4)"),
         (lambda pose: pose * np.nan, "track was expected to return a rigid pose (4, 4)"),
         (lambda pose: np.diag([2.0, 2.0, 2.0, 1.0]), "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: [[1.0], [1.0, 2.0]], "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: np.full((4, 4), "x"), "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: moved(pose, 1e307), "track was expected to return a rigid pose (4, 4)"),
+        (lambda pose: Odd(), "RuntimeError: no array"),
         (lambda pose: 1 / 0, "ZeroDivisionError: division by zero"),
     ],
 )
@@ -108,6 +126,36 @@ def test_a_finish_with_too_few_poses_is_a_fault(monkeypatch, walk):
     method = Knowing(walk[1], late=True)
     method.poses = method.poses[:-1]
     assert "finish was expected to return None or rigid poses" in scored(monkeypatch, walk, method)["fault"]
+
+
+def test_a_method_gets_another_seed_than_the_truth(monkeypatch, walk):
+    method, seeds = Knowing(walk[1]), []
+    begin = method.begin
+    method.begin = lambda camera, seed: seeds.append(seed) or begin(camera, seed)
+    scored(monkeypatch, walk, method)
+    assert seeds == [given_seed(walk[0].seed)]
+    assert given_seed(0) != given_seed(1)
+    assert {given_seed(seed) for seed in range(10)}.isdisjoint(range(10))
+
+
+def test_what_cannot_be_made_in_the_worker_is_a_fault(monkeypatch, walk):
+    entry = type("Found", (), {"make": lambda self: 1 / 0})()
+    monkeypatch.setattr(slam_run, "find_entry", lambda reference: entry)
+    row = run_recording(SlamUnit("mine", "mine", *walk, seconds=5.0))
+    assert row["fault"] == "ZeroDivisionError: division by zero"
+
+
+def broken(unit):
+    """Raise, as code does that an entry has patched."""
+    raise LookupError("patched")
+
+
+@pytest.mark.slow
+def test_any_other_error_of_a_run_is_a_row(walk, tmp_path):
+    unit = SlamUnit("mine", "mine", *walk, seconds=5.0)
+    [row] = units.read_rows(units.run_units([unit], broken, standing_still, tmp_path / "slam"), units.UnitRow)
+    assert row["fault"] == "LookupError: patched"
+    assert row["score"] == pytest.approx(standing_still(unit))
 
 
 def test_the_methods_of_the_package_fit_the_contract():

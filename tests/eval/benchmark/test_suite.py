@@ -7,12 +7,31 @@ import yaml
 
 from tests.helpers.box_rooms import furniture, two_rooms
 from tests.helpers.sweeps.benchmark_suites import ROOMS, write_suite
+from vssm_gym.envs.robots.holonomic import HOLONOMIC_NOISES
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
-from vssm_gym.eval.benchmark.suite import NEWEST, SUITES, check_frozen, freeze, read_suite, suite_file
+from vssm_gym.eval.benchmark.suite import NEWEST, SUITES, Recording, check_frozen, freeze, read_suite, suite_file
 from vssm_gym.eval.protocols import shared
 
-PUBLIC = {"small-v1": "fa18e7a50093d4e1", "full-v1": "ee3384160006caa5"}
+PUBLIC = {"small-v1": "7a5b74e82f797bbe", "full-v1": "4eb3e979f356777f"}
+
+
+OTHERS = """name: others
+tracks:
+  slam:
+    kind: slam
+    about: Follow a camera.
+    seconds: 20
+    recordings:
+      - {scene: rooms.json, motion: handheld, length: 3}
+      - {scene: rooms.json, motion: handheld, length: 4}
+  prediction:
+    kind: prediction
+    about: Predict.
+    scenes: [oak, rooms.json]
+    drives: 1
+    seconds: 20
+"""
 
 
 def test_public_suites_are_those_that_were_published():
@@ -37,6 +56,8 @@ def test_the_small_suite_is_of_this_version_where_that_is_quick():
 def test_a_changed_file_is_refused(tmp_path):
     path = write_suite(tmp_path)
     assert read_suite(path).frozen.keys() == {
+        "mapping: rules",
+        "car: rules",
         "scene rooms",
         "mapping: tasks of rooms",
         "scene arena",
@@ -73,6 +94,45 @@ def test_changed_tasks_are_refused(tmp_path):
 def test_a_frozen_suite_is_not_frozen_again(tmp_path):
     with pytest.raises(InputError, match=r"hash: expected a suite that is not frozen yet"):
         freeze(write_suite(tmp_path))
+
+
+def test_other_rules_are_refused(tmp_path, monkeypatch):
+    path = write_suite(tmp_path)
+    monkeypatch.setitem(HOLONOMIC_NOISES, "low", HOLONOMIC_NOISES["mid"])
+    with pytest.raises(InputError, match=r"frozen\.mapping: rules: expected .*as it was frozen in rooms"):
+        check_frozen(read_suite(path), path, ["mapping"])
+
+
+def test_scenes_of_all_tracks_are_relative_to_the_suite(tmp_path, monkeypatch):
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    path = tmp_path / "suite.yaml"
+    path.write_text(OTHERS)
+    monkeypatch.chdir(tmp_path.parent)
+    suite = freeze(path)
+    assert read_suite(path).hash == suite.hash
+    assert suite.tracks["slam"].located(tmp_path)[0].scene == str(tmp_path / "rooms.json")
+    assert suite.tracks["prediction"].located(tmp_path) == ("oak", str(tmp_path / "rooms.json"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("length: 4", "length: 3", r"recordings with names that differ; two are called 'rooms-handheld-3-kinect-0'"),
+        ("[oak, rooms.json]", "[oak, oak]", r"scenes with names that differ; two are called 'oak'"),
+    ],
+)
+def test_runs_that_could_not_be_told_apart_are_refused(tmp_path, old, new, message):
+    save_scene(two_rooms(), tmp_path / "rooms.json")
+    path = tmp_path / "suite.yaml"
+    path.write_text(OTHERS.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_suite(path)
+
+
+def test_names_of_recordings_tell_all_fields():
+    shared = {"scene": "oak", "motion": "wander", "length": 5.0}
+    changes = [{}, {"length": 6.0}, {"noise": "high"}, {"sensor_noise": "stereo"}, {"seed": 1}, {"motion": "handheld"}]
+    assert len({Recording(**(shared | change)).name for change in changes}) == len(changes)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Test that an entry's faults become failures of its episode: errors, wrong decisions, lost time."""
 
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -40,13 +42,43 @@ class Scripted:
         return found
 
 
+def supervised(agent, seconds=5.0):
+    """Return an agent that is this one in every episode."""
+    return SupervisedAgent(type(agent), lambda: agent, seconds)
+
+
 def decision(**changed):
     """Return a decision that drives on."""
     fields = {"action": np.array([0.0, 0.0, 0.1, 0.0], np.float32), "pose": np.zeros(3), "status": "driving"}
     return Decision(**(fields | changed))
 
 
-def leave():
+class Hiding(Decision):
+    """Raise where its action is read."""
+
+    def __getattribute__(self, name):
+        if name == "action":
+            raise RuntimeError("no action for you")
+        return super().__getattribute__(name)
+
+
+class Turning(Decision):
+    """Have another action each time that it is read."""
+
+    reads = 0
+
+    def __getattribute__(self, name):
+        if name == "action":
+            Turning.reads += 1
+            return np.zeros(4, np.float32) if Turning.reads == 1 else "left"
+        return super().__getattribute__(name)
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def leave(*_):
     raise SystemExit(3)
 
 
@@ -65,9 +97,12 @@ def stubborn():
 
 def test_decisions_pass_unchanged():
     wanted = [decision(), decision(pose=None)]
-    agent = SupervisedAgent(Scripted(*wanted), 5.0)
+    agent = supervised(Scripted(*wanted))
     agent.reset(Context(), START, 0)
-    assert [agent.act(START) for _ in wanted] == wanted
+    for one in wanted:
+        found = vars(agent.act(START))
+        for name, value in vars(one).items():
+            np.testing.assert_equal(found[name], value)
     assert agent.fault is None
     assert agent.map is None
 
@@ -82,6 +117,14 @@ def test_decisions_pass_unchanged():
         (decision(action=np.full(4, np.nan)), "an action of 4 finite numbers was expected"),
         (decision(action="left"), "an action of 4 finite numbers was expected; found 'left'"),
         (decision(pose=np.zeros(2)), "a pose of 3 finite numbers, or None, was expected"),
+        (decision(action=[[1.0], [1.0, 2.0]]), "an action of 4 finite numbers was expected"),
+        (decision(action=np.array(["left"] * 4)), "an action of 4 finite numbers was expected"),
+        (decision(pose=[[1.0], [1.0, 2.0]]), "a pose of 3 finite numbers, or None, was expected"),
+        (decision(plan=np.zeros(3)), "waypoints (n, 2) as plan, or None, were expected"),
+        (decision(status=type("Rude", (), {"__repr__": leave})()), "SystemExit: 3"),
+        (decision(expansions=10**400), "a count as expansions, or None, was expected"),
+        (interrupt, "KeyboardInterrupt"),
+        (lambda: Hiding(np.zeros(4), None, ""), "RuntimeError: no action for you"),
         (decision(status=7), "a text as status was expected; found 7"),
         (decision(latency={"all": np.inf}), "seconds by stage as latency were expected"),
         (decision(covariance=-np.eye(3)), "covariance: expected of"),
@@ -91,7 +134,7 @@ def test_decisions_pass_unchanged():
     ],
 )
 def test_a_fault_gives_the_episode_up_once_and_for_all(result, reason):
-    agent = SupervisedAgent(Scripted(result, decision()), 5.0)
+    agent = supervised(Scripted(result, decision()))
     agent.reset(Context(), START, 0)
     for _ in range(2):
         found = agent.act(START)
@@ -104,8 +147,54 @@ def test_a_fault_gives_the_episode_up_once_and_for_all(result, reason):
     assert not agent.act(START).gives_up  # the next episode begins anew
 
 
+def test_a_decision_is_read_once():
+    agent = supervised(Scripted(lambda: Turning(np.zeros(4), None, "")))
+    agent.reset(Context(), START, 0)
+    found, Turning.reads = agent.act(START), 0
+    assert type(found) is Decision
+    assert found.action.tolist() == [0.0] * 4
+
+
+def test_a_map_that_raises_is_a_fault():
+    agent = supervised(type("Mapping", (Scripted,), {"map": property(leave)})())
+    agent.reset(Context(), START, 0)
+    assert agent.map is None
+    assert agent.fault == "SystemExit: 3"
+
+
+def test_each_episode_has_a_new_agent_that_the_class_speaks_for():
+    made = []
+    agent = SupervisedAgent(Scripted, lambda: made.append(Scripted(decision())) or made[-1], 5.0)
+    for count in (1, 2):
+        agent.reset(Context(), START, 0)
+        made[-1].needs_pose = True
+        assert len(made) == count
+        assert not agent.needs_pose
+
+
+def test_a_class_that_cannot_be_made_fails_its_episode():
+    agent = SupervisedAgent(Scripted, leave, 5.0)
+    agent.reset(Context(), START, 0)
+    assert agent.act(START).gives_up
+    assert agent.fault == "SystemExit: 3"
+
+
+def test_an_agent_that_has_failed_before_is_not_run():
+    agent = SupervisedAgent(Scripted, leave, 5.0, "it is dead")
+    agent.reset(Context(), START, 0)
+    assert agent.act(START).status == "fault: it is dead"
+
+
+def test_time_of_children_counts():
+    supervisor = Supervisor(0.3)
+    loop = "import time\nwhile time.process_time() < 0.6: pass"
+    supervisor.call(lambda: subprocess.run([sys.executable, "-c", loop]))
+    supervisor.call(lambda: busy(0.2))
+    assert supervisor.fault.startswith("more than 0.3 s of processor time")
+
+
 def test_a_status_that_no_row_can_hold_is_shown_by_its_escapes():
-    agent = SupervisedAgent(Scripted(decision(status="half \ud800\nnext"), decision(status="x" * 5000)), 5.0)
+    agent = supervised(Scripted(decision(status="half \ud800\nnext"), decision(status="x" * 5000)))
     agent.reset(Context(), START, 0)
     assert agent.act(START).status == "half \\ud800\\nnext"
     assert len(agent.act(START).status) == 1000
@@ -113,7 +202,7 @@ def test_a_status_that_no_row_can_hold_is_shown_by_its_escapes():
 
 @pytest.mark.parametrize("result", [loop, stubborn])
 def test_an_agent_that_takes_too_long_is_interrupted(result):
-    agent = SupervisedAgent(Scripted(decision(), result), 0.1)
+    agent = supervised(Scripted(decision(), result), 0.1)
     agent.reset(Context(), START, 0)
     assert not agent.act(START).gives_up
     began = time.process_time()
@@ -142,11 +231,11 @@ def test_time_is_that_of_all_calls_together_and_of_the_entry_alone():
 
 def test_the_action_that_gives_up_is_that_of_the_robot():
     for context, size in ((Context, 4), (Car, 2), (type("Stopping", (Car,), {"stops": True}), 3)):
-        agent = SupervisedAgent(Scripted(leave), 5.0)
+        agent = supervised(Scripted(leave))
         agent.reset(context(), START, 0)
         assert agent.act(START).action.shape == (size,)
 
 
 def test_an_agent_of_the_package_is_what_it_was():
-    agent = SupervisedAgent(make_agent("random"), 5.0)
+    agent = supervised(make_agent("random"))
     assert (agent.name, agent.robot, agent.needs_map) == ("random", "holonomic", False)

@@ -25,6 +25,8 @@ tracks:
 """
 AGENT = '''"""An agent of a stranger."""
 
+import os
+
 import numpy as np
 import vssm_gym as vg
 from strangers_help import STEP
@@ -65,6 +67,26 @@ class Crashing(Straight):
         if self.steps == 3:
             raise ArithmeticError("no answer")
         return super().act(observation)
+
+
+class Dying(Straight):
+    """End the process at the first step of an episode."""
+
+    name = "strangers_death"
+
+    def act(self, observation):
+        os._exit(3)
+
+
+class Remembering(Straight):
+    """Fail where it has driven before."""
+
+    name = "strangers_memory"
+
+    def reset(self, context, observation, seed):
+        super().reset(context, observation, seed)
+        self.episodes = getattr(self, "episodes", 0) + 1
+        assert self.episodes == 1, "it remembers"
 '''
 
 
