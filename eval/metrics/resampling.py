@@ -10,7 +10,7 @@ With one run v = 1 and k = 1: tasks alone are resampled.
 Runs are few. R - 1 draws of R runs make the variance between them unbiased (Rao and Wu, 1988), and the percentile
 interval is stretched by Student's quantile over the normal one, the more the larger the part V_R between runs of the
 variance V of theta* is (Satterthwaite, 1946). What neither task nor run explains of a single episode is counted up to
-three times (Owen), which errs on the safe side.
+three times (Owen), which errs on the safe side. A resample that draws no task which one of its runs has is left out.
 
 With few tasks the same holds of them. Where the range of the scores is known and T < 15, deviations of the resamples
 are enlarged by sqrt(T / (T - 1)), which makes their variance unbiased, and Student's quantile counts the tasks' part of
@@ -81,7 +81,10 @@ def scores(values: np.ndarray, tasks: Sequence[Hashable], runs: Sequence[Hashabl
 def mean(of: Scores, weights: Float[np.ndarray, "resamples scores"]) -> Float[np.ndarray, "resamples columns"]:
     """``sum(w x) / sum(w)`` under each row of weights."""
     counted = weights * of.episodes
-    return (counted @ of.values) / counted.sum(axis=1, keepdims=True)
+    total = counted.sum(axis=1, keepdims=True)
+    return np.divide(
+        counted @ of.values, total, out=np.full((len(weights), of.values.shape[1]), np.nan), where=total > 0
+    )
 
 
 def interquartile_mean(
@@ -98,7 +101,8 @@ def interquartile_mean(
         left_out = np.floor(TRIMMED * upper[:, -1:])
         ends = np.clip(upper, left_out, upper[:, -1:] - left_out) - left_out  # scores of the middle half so far
         kept = np.diff(ends, axis=1, prepend=0.0)
-        found[:, column] = (kept @ x[order]) / kept.sum(axis=1)
+        total = kept.sum(axis=1)
+        found[:, column] = np.divide(kept @ x[order], total, out=np.full(len(weights), np.nan), where=total > 0)
     return found
 
 
@@ -129,6 +133,7 @@ def bootstrap(
     for stream, (sign, one) in enumerate(zip(signs, groups, strict=True)):
         parts = [statistic(one, weights) for weights in _weights(one, seed, stream)]
         drawn += sign * np.concatenate(parts)
+    drawn = drawn[np.isfinite(drawn).all(axis=1)]
     between = [(_between_runs(statistic, one), one.runs) for one in groups]
     variance = drawn.var(axis=0)
     least, most = (_sum_of_ends(groups, end) for end in (np.min, np.max))

@@ -237,3 +237,15 @@ def test_intervals_over_many_tasks_are_what_they_were():
     values = np.random.default_rng(0).random(15).tolist()
     plain, wide = (aggregate.bootstrap_mean(values, range(15), within=ends) for ends in (None, (0.0, 1.0)))
     assert plain == wide
+
+
+def test_runs_that_lack_tasks_have_an_interval():
+    """Resamples without any score are left out: one run of a single task widens the interval, and does not end it."""
+    rng = np.random.default_rng(5)
+    tasks = [*range(20), *range(20), 0]
+    runs = [0] * 20 + [1] * 20 + [2]
+    found = resampling.bootstrap(resampling.mean, resampling.scores(rng.normal(size=41), tasks, runs))
+    assert np.isfinite([found.low, found.high]).all()
+    assert found.low[0] < found.value[0] < found.high[0]
+    middle = resampling.bootstrap(resampling.interquartile_mean, resampling.scores(rng.random(41), tasks, runs))
+    assert np.isfinite([middle.low, middle.high]).all()
