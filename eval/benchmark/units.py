@@ -107,6 +107,8 @@ def run_units(
             pool.shutdown(wait=False, cancel_futures=True)
             for process in processes:  # one that runs would hold up an interrupted command
                 process.terminate()
+            for process in processes:  # its time counts once it has been waited for
+                process.join()
     if on_progress:
         on_progress("runs", len(units), len(units))
     return path

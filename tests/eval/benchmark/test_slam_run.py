@@ -1,6 +1,7 @@
 """Test the SLAM track on a short walk: the true poses have no error, and faults are worth standing still."""
 
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from vssm_gym.eval.benchmark.slam.contract import SlamMethod
 from vssm_gym.eval.benchmark.slam.methods import SLAM_METHODS, StandingStill
 from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
 from vssm_gym.eval.benchmark.suite import Recording, given_seed
+from vssm_gym.eval.sweep.supervision import processor_seconds
 
 METHODS = """
 import os
@@ -152,8 +154,10 @@ def broken(unit):
 
 @pytest.mark.slow
 def test_any_other_error_of_a_run_is_a_row(walk, tmp_path):
-    unit = SlamUnit("mine", "mine", *walk, seconds=5.0)
+    unit, before = SlamUnit("mine", "mine", *walk, seconds=5.0), processor_seconds()
+    own = time.process_time()
     [row] = units.read_rows(units.run_units([unit], broken, standing_still, tmp_path / "slam"), units.UnitRow)
+    assert processor_seconds() - before - (time.process_time() - own) > 0.1  # its process has been counted
     assert row["fault"] == "LookupError: patched"
     assert row["score"] == pytest.approx(standing_still(unit))
 
