@@ -12,7 +12,7 @@ OUT ?= out/demo
 RECORDINGS ?=
 
 # The first interpreter that really runs (version managers leave shims that do not), is in range and can make a venv.
-CANDIDATES := python3.11 python3.12 python3.13 python3
+CANDIDATES := python3.11 python3.12 python3.13 python3.14 python3
 PYTHON ?=
 
 .PHONY: help demo test test-slow coverage additions faults fuzz mutants chaos lint format docs pictures install clean
@@ -38,11 +38,11 @@ install: $(STAMP)
 $(STAMP): constraints.txt pyproject.toml Makefile
 	@chosen=""; \
 	for python in $(or $(PYTHON),$(CANDIDATES)); do \
-	  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' >/dev/null 2>&1; \
+	  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' >/dev/null 2>&1; \
 	  then chosen="$$python"; break; fi; \
 	done; \
 	if [ -z "$$chosen" ]; then \
-	  echo "error: no working Python 3.11-3.13 with venv among: $(or $(PYTHON),$(CANDIDATES)); set PYTHON=" >&2; exit 1; \
+	  echo "error: no working Python 3.11-3.14 with venv among: $(or $(PYTHON),$(CANDIDATES)); set PYTHON=" >&2; exit 1; \
 	fi; \
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
 	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \

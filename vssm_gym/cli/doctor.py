@@ -140,8 +140,8 @@ def _reason(detail: str) -> str:
 
 
 def _python() -> Finding:
-    ok = (3, 11) <= sys.version_info < (3, 14)
-    return Finding("Python", ok, f"{platform.python_version()} on {platform.platform()}", "Python 3.11-3.13", True)
+    ok = (3, 11) <= sys.version_info < (3, 15)
+    return Finding("Python", ok, f"{platform.python_version()} on {platform.platform()}", "Python 3.11-3.14", True)
 
 
 def _cores() -> Finding:
