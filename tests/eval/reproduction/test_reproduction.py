@@ -196,12 +196,6 @@ def test_a_folder_of_neither_is_refused(tmp_path):
         reproduce(tmp_path / "empty", tmp_path / "out")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("folder", ["maze_exploration", "maze_slam"])
-def test_committed_rows_have_the_same_outcome(folder, tmp_path):
-    reproduce(BASELINES / folder, tmp_path / "again", episodes=2)
-
-
 @given(st.integers(1, 60), st.integers(1, 60))
 def test_rows_are_chosen_from_the_first_to_the_last(rows, most):
     chosen = [row["k"] for row in spread_evenly([{"k": k} for k in range(rows)], most)]
