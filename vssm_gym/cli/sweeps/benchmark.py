@@ -25,7 +25,7 @@ def benchmark(
     track that it is for. Where its code fails or takes too long, its run counts as a failure, and the table says why.
 
     Args:
-        suite: small (at most 20 minutes on two cores for one entry a track), full, or the file of a suite.
+        suite: small (made for 20 minutes on two cores with one entry a track), full, or the file of a suite.
         entry: FILE.py:CLASS, PACKAGE.MODULE:CLASS, the .npz file of a policy, the name of an entry point of an
             installed package (groups vssm_gym.agents, vssm_gym.slam, vssm_gym.predictors), or a name of what comes with
             the package, such as astar, prism or vssm_lm.
