@@ -48,7 +48,7 @@ $(STAMP): constraints.txt pyproject.toml Makefile
 	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \
 	fi
 	@echo "installing into $(VENV) (a minute or two)"
-	@extras=dev,rl,dynamics,datasets,docs; \
+	@extras=dev,rl,dynamics,datasets,docs,cluster; \
 	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then extras=$$extras,bullet; \
 	else echo "no PyBullet: it has a wheel for Python 3.11 only; physics=\"bullet\" and its tests need it"; fi; \
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt \
