@@ -1,4 +1,4 @@
-"""List the studies whose rows can be run again: how each runs one.
+"""List the studies whose rows can be run again: how each runs one; those of tables are in :mod:`study_tables`.
 
 A row takes less than a second (odometry), 15 to 60 s (SLAM in a maze), 5 to 40 s (an explorer), or a minute (a pose
 graph). Each returns the figures that the study stores.
@@ -13,6 +13,7 @@ from vssm_gym.data.traversals import errors, traverse
 from vssm_gym.envs.tasks.mazes import MAZES, load_maze
 from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.reproduction.study_rows import StudyRows
+from vssm_gym.eval.reproduction.study_tables import TABLES
 from vssm_gym.eval.studies.maze_exploration.episodes import EXPLORERS, explore
 from vssm_gym.eval.studies.maze_exploration.run import EXPLORATION_ROWS
 from vssm_gym.eval.studies.maze_slam.methods import ERRORS_EVERY, METHODS, judged_run
@@ -77,7 +78,12 @@ def _maze(name: str) -> str:
 CLOCK = frozenset({"seconds", "scans_per_second", "version", "code", "decision_p50", "decision_p95"})
 STUDIES = (
     StudyRows(
-        "maze-slam", MAZE_SLAM_ROWS, ("maze", "traversal", "method", "seed"), _maze_slam, CLOCK, jax.clear_caches
+        "maze-slam",
+        MAZE_SLAM_ROWS,
+        ("maze", "traversal", "method", "seed"),
+        _maze_slam,
+        CLOCK,
+        release=jax.clear_caches,
     ),
     StudyRows("maze-exploration", EXPLORATION_ROWS, ("maze", "seed", "agent"), _exploration, CLOCK),
     StudyRows(
@@ -86,8 +92,9 @@ STUDIES = (
         ("maze", "traversal", "steps", "method", "mode", "passes", "seed", "cell_size"),
         _strips,
         CLOCK,
-        jax.clear_caches,
+        release=jax.clear_caches,
     ),
     StudyRows("slam2d by a pose graph", SLAM2D_ROWS, ("log", "seed", "cell", "noise", "sensor_noise"), _graph, CLOCK),
+    *TABLES,
 )
 """The kinds of studies, each by the file and the fields of its rows."""

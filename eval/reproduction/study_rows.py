@@ -18,16 +18,22 @@ STUDY_BYTES = 64 << 20  # of a file of rows; those of the package have 0.3 MB
 Figures = Mapping[str, Any]
 
 
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a file with one JSON object a line."""
+    return [row for _, row in parse_json_lines(read_bytes(path, STUDY_BYTES), path, "a row of a study")]
+
+
 @dataclass(frozen=True)
 class StudyRows:
     """Define the rows of a kind of study.
 
     Attributes:
         name: of the study, for messages.
-        file: of the rows in the study's folder, one JSON object a line.
+        file: of the rows in the study's folder; a pattern where a study was run in parts.
         identity: fields that say what was run; a row that has them all is of this kind, and any other is left out.
         again: runs a row's identity and conditions once more; returns its figures. It may raise InputError.
         made_by: fields that say by what, when and how fast a row was made, and are not compared.
+        read: returns the rows of one such file.
         release: called after every row: what many runs pile up in a process.
     """
 
@@ -36,14 +42,12 @@ class StudyRows:
     identity: tuple[str, ...]
     again: Callable[[Figures], Figures]
     made_by: frozenset[str]
+    read: Callable[[Path], list[dict[str, Any]]] = read_lines
     release: Callable[[], None] = field(default=lambda: None)
 
     def rows(self, folder: Path) -> list[dict[str, Any]]:
         """Return the rows of this kind that a folder holds."""
-        if not (folder / self.file).is_file():
-            return []
-        data = read_bytes(folder / self.file, STUDY_BYTES)
-        found = [row for _, row in parse_json_lines(data, folder / self.file, "a row of a study")]
+        found = [row for path in sorted(folder.glob(self.file)) for row in self.read(path)]
         return [row for row in found if set(self.identity) <= row.keys()]
 
     def words(self, row: Figures) -> str:
@@ -59,14 +63,15 @@ def reproduce_study(
     Args:
         kind: of the study.
         folder: with its file of rows, one of this kind at least.
-        out: new or empty folder; it gets the rows as they are now, under the same name.
+        out: new or empty folder; it gets the rows as they are now, one a line.
         most: rows at most.
         tolerance: see :func:`first_difference`.
         on_progress: called with ("rows", done, rows).
     """
     chosen, outcome = spread_evenly(kind.rows(folder), most), []
+    lines = out / f"{Path(kind.file.replace('*', '')).stem}.jsonl"
     owner = Owner("reproduce", "reproduce.json", {"study": kind.name, "version": package_version()}, identity=())
-    with owned_folder(out, owner), LineFile(out / kind.file) as file:
+    with owned_folder(out, owner), LineFile(lines) as file:
         for done, row in enumerate(chosen):
             if on_progress:
                 on_progress("rows", done, len(chosen))

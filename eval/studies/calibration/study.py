@@ -99,7 +99,7 @@ def run(
     notices = tuple(notice for recording in recordings for notice in recording.notices)
     for name in names:
         if name not in rows:
-            rows[name] = _simulated(name, setting, folder, on_progress)
+            rows[name] = measure_row(name, setting, folder, on_progress)
             yield study_of(_in_order(rows), stated, notices)
     for recording in recordings:
         name = name_of(recording)
@@ -115,8 +115,8 @@ def _in_order(rows: Mapping[str, Any]) -> dict[str, Any]:
     return {name: rows[name] for name in (*ROWS, *rows) if name in rows}
 
 
-def _simulated(name: str, setting: Setting, folder: Path, on_progress: OnProgress | None) -> dict[str, Any]:
-    """Measure a row of simulated runs."""
+def measure_row(name: str, setting: Setting, folder: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
+    """Measure a row of simulated runs; maps that it needs are learned in ``folder`` and kept."""
     row = ROWS[name]
     runs = row.runs if setting.runs is None else setting.runs
 

@@ -94,7 +94,7 @@ def run(
     Raises:
         InputError: a recording without ground truth.
     """
-    simulated = _simulated(setting)
+    simulated = simulated_recordings(setting)
     given = {one.root.resolve().name: one for one in recordings}
     rows, stated = dict(done), asdict(setting)
     names = [*simulated, *given]
@@ -106,9 +106,7 @@ def run(
         if name in given:
             rows[name] = compare(given[name], setting.options, show)
         else:
-            with tempfile.TemporaryDirectory(prefix="vssm-gym-smoothing-") as folder:
-                kept = simulated[name](Path(folder) / "recording")
-                rows[name] = compare(load_sequence(Path(folder) / "recording"), kept, show)
+            rows[name] = measure_simulated(simulated[name], show)
         yield study_of(in_order(), stated)
     if rows.keys() == done.keys():
         yield study_of(in_order(), stated)
@@ -119,7 +117,14 @@ def finished(path: Path, setting: Setting) -> dict[str, dict[str, Any]]:
     return stored_rows(path, asdict(setting), StoredRow, "the outcome of a study of the smoother")
 
 
-def _simulated(setting: Setting) -> dict[str, Callable[[Path], SlamOptions]]:
+def measure_simulated(record: Callable[[Path], SlamOptions], on_progress: OnProgress | None = None) -> dict[str, Any]:
+    """Record one of :func:`simulated_recordings` into a temporary folder and measure filter and smoother on it."""
+    with tempfile.TemporaryDirectory(prefix="vssm-gym-smoothing-") as folder:
+        options = record(Path(folder) / "recording")
+        return compare(load_sequence(Path(folder) / "recording"), options, on_progress)
+
+
+def simulated_recordings(setting: Setting) -> dict[str, Callable[[Path], SlamOptions]]:
     """Return by name what records each simulated recording, and the options that the filter then gets."""
     division = DIVISIONS[setting.split]
     found: dict[str, Callable[[Path], SlamOptions]] = {}

@@ -20,10 +20,12 @@ from vssm_gym.eval.metrics.training_runs import training_name
 from vssm_gym.eval.reproduction.comparison import NOT_OUTCOMES, first_difference, spread_evenly
 from vssm_gym.eval.reproduction.studies import STUDIES
 from vssm_gym.eval.reproduction.sweep_rows import POLICY_FOLDER, policies_of
+from vssm_gym.eval.studies.calibration import study as calibration
 from vssm_gym.eval.studies.maze_exploration.run import ExplorationSetting
 from vssm_gym.eval.studies.maze_exploration.run import run as run_exploration
 from vssm_gym.eval.studies.maze_slam.run import MazeSlamSetting
 from vssm_gym.eval.studies.maze_slam.run import run as run_maze_slam
+from vssm_gym.eval.studies.page import write_study
 from vssm_gym.eval.sweep.config import SweepConfig
 from vssm_gym.eval.sweep.runner import run_sweep
 
@@ -161,6 +163,47 @@ def test_committed_rows_of_a_study_are_of_one_kind(folder):
     assert kind.name == STUDY_FOLDERS[folder]
     lines = len((BASELINES / folder / kind.file).read_text().splitlines())
     assert len(kind.rows(BASELINES / folder)) == lines - (2 if folder == "slam2d_graph" else 0)
+
+
+TABLE_ROWS = {"calibration": 22, "smoothing": 24, "relocalisation": 6}  # rows of recordings apart
+
+
+@pytest.mark.parametrize("folder", TABLE_ROWS)
+def test_committed_rows_of_a_table_can_be_run_again(folder):
+    (kind,) = [kind for kind in STUDIES if kind.rows(BASELINES / folder)]
+    rows = kind.rows(BASELINES / folder)
+    assert kind.name == folder and len({row["row"] for row in rows}) == len(rows) == TABLE_ROWS[folder]
+    assert all(len(row.keys() - {"row", "setting"}) > 1 for row in rows)
+    assert "seconds" not in json.dumps([{name: row[name] for name in row.keys() - {"row", "setting"}} for row in rows])
+
+
+CALIBRATED = calibration.Setting(runs=1)
+
+
+def calibration_study(out):
+    """Write the calibration of two rows without a map, of one run each."""
+    for study in calibration.run(
+        [], calibration.chosen("dead-reckoning-l*,dead-reckoning-h*"), CALIBRATED, folder=out, done={}
+    ):
+        write_study(study, out)
+
+
+def test_rows_of_a_table_are_run_again_and_an_altered_one_is_named(tmp_path, capsys):
+    study = tmp_path / "study"
+    study.mkdir()
+    calibration_study(study)
+    reproduce(study, tmp_path / "again")
+    assert "2 of 2 rows have the same outcome" in capsys.readouterr().out
+    stored = json.loads((study / "calibration.json").read_text())
+    stored["figures"]["rows"]["dead-reckoning-high"]["nees"]["mean"] *= 1.1
+    (study / "calibration.json").write_text(json.dumps(stored))
+    with pytest.raises(SystemExit):
+        reproduce(study, tmp_path / "altered")
+    assert "row dead-reckoning-high: nees.mean: expected" in capsys.readouterr().out
+    stored["setting"]["more"] = 1
+    (study / "calibration.json").write_text(json.dumps(stored))
+    with pytest.raises(InputError, match=r"setting: expected that of a study"):
+        reproduce(study, tmp_path / "refused")
 
 
 RUNS = {
