@@ -1,7 +1,6 @@
 """Run rows of the studies again that store one table: calibration, smoothing, relocalisation.
 
-Rows of recordings are left out, which the package does not hold. A row takes from a minute (a walk that is smoothed, a
-scene of 60 poses) to half an hour (twenty runs of a filter that maps).
+Rows of recordings are left out, which the package does not hold.
 """
 
 import tempfile
@@ -23,12 +22,14 @@ RELOCALISED = ("scenes", "sensors", "poses", "seed")  # of the setting of reloca
 Row = Mapping[str, Any]
 
 
-def _stored(path: Path, setting: set[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return setting and figures of a study's file; a setting of other fields is not this study's."""
+def _stored(path: Path, setting: set[str], figures: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return setting and figures of a study's file; others than these fields are not this study's."""
     stored = read_json(path, expected="the outcome of a study")
     parts = [stored.get(name) if isinstance(stored, dict) else None for name in ("setting", "figures")]
     if not isinstance(parts[0], dict) or not isinstance(parts[1], dict) or parts[0].keys() != setting:
         raise InputError(path, "setting", f"that of a study, {', '.join(sorted(setting))}")
+    if missing := [name for name in figures if name not in parts[1]]:
+        raise InputError(path, f"figures.{missing[0]}", "the rows of a study; it is missing")
     return parts[0], parts[1]
 
 
@@ -40,7 +41,7 @@ def _timeless(value: Any) -> Any:
 
 
 def _calibration_rows(path: Path) -> list[dict[str, Any]]:
-    setting, figures = _stored(path, {field.name for field in fields(calibration.Setting)} | {"scenes"})
+    setting, figures = _stored(path, {field.name for field in fields(calibration.Setting)} | {"scenes"}, ("rows",))
     own = {name: value for name, value in setting.items() if name != "scenes"}
     return [{"row": name, "setting": own, **_timeless(row)} for name, row in figures["rows"].items() if name in ROWS]
 
@@ -52,7 +53,7 @@ def _calibration(row: Row) -> dict[str, Any]:
 
 
 def _smoothing_rows(path: Path) -> list[dict[str, Any]]:
-    setting, figures = _stored(path, {field.name for field in fields(smoothing.Setting)})
+    setting, figures = _stored(path, {field.name for field in fields(smoothing.Setting)}, ("rows",))
     known = smoothing.simulated_recordings(smoothing.Setting(**setting))
     rows = {name: row for name, row in figures["rows"].items() if name in known}
     return [{"row": name, "setting": setting, **_timeless(row)} for name, row in rows.items()]
@@ -65,7 +66,7 @@ def _smoothing(row: Row) -> dict[str, Any]:
 
 def _relocalisation_rows(path: Path) -> list[dict[str, Any]]:
     """Return a row for each scene: its places, and what became of each image."""
-    setting, figures = _stored(path, {*RELOCALISED, "spacing"})
+    setting, figures = _stored(path, {*RELOCALISED, "spacing"}, ("index", "queries"))
     return [
         {
             "row": scene,

@@ -200,6 +200,11 @@ def test_rows_of_a_table_are_run_again_and_an_altered_one_is_named(tmp_path, cap
     with pytest.raises(SystemExit):
         reproduce(study, tmp_path / "altered")
     assert "row dead-reckoning-high: nees.mean: expected" in capsys.readouterr().out
+    rows = stored["figures"].pop("rows")
+    (study / "calibration.json").write_text(json.dumps(stored))
+    with pytest.raises(InputError, match=r"figures\.rows: expected the rows of a study"):
+        reproduce(study, tmp_path / "without")
+    stored["figures"]["rows"] = rows
     stored["setting"]["more"] = 1
     (study / "calibration.json").write_text(json.dumps(stored))
     with pytest.raises(InputError, match=r"setting: expected that of a study"):
