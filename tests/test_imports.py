@@ -161,7 +161,7 @@ FOLDERS = {
         ["video"],
         ["studies", "faults"],
         ["bench", ""],
-        ["benchmark"],
+        ["benchmark", "reproduction"],
     ],
 }
 EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it

@@ -1,8 +1,6 @@
 """Test trainings of several seeds on a Ray cluster: the policies of a command alone, a killed worker, refusals."""
 
-import contextlib
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -21,7 +19,6 @@ from vssm_gym.training.run import read_progress
 
 for library in ("ray", "torch", "stable_baselines3"):
     pytest.importorskip(library)
-from tests.helpers.sweeps.ray_nodes import two_nodes  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -32,12 +29,6 @@ TRAINING = (
     "  goals: 4, pool: 64}\npolicy: {inputs: [scan, goal], hidden: [8]}\n"
     f"algorithm: {{name: ppo, n_steps: 16, batch_size: 64, n_epochs: 1}}\nsteps: {STEPS}\n"
 )
-
-
-@pytest.fixture(scope="module")
-def nodes():
-    with two_nodes() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -96,10 +87,7 @@ def test_a_killed_worker_is_replaced(folder, nodes, alone):
         deadline = time.monotonic() + 300
         while len(killed) < 2 and time.monotonic() < deadline:
             if all((out / f"seed-{seed}" / "training.json").is_file() for seed in SEEDS):
-                for pid in nodes.workers():
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(pid, signal.SIGKILL)
-                        killed.add(pid)
+                killed.update(nodes.kill_workers())
             time.sleep(0.2)
 
     killer = threading.Thread(target=kill, daemon=True)

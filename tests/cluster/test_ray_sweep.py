@@ -1,6 +1,5 @@
 """Test sweeps on a Ray cluster of two nodes: rows of one process, killed workers, nodes and drivers, other versions."""
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -30,12 +29,6 @@ START = (
     "from vssm_gym.eval.sweep.runner import run_sweep\n"
     "run_sweep(load_config(Path(sys.argv[1])), Path(sys.argv[2]), resume=True, ray=sys.argv[3])\n"
 )
-
-
-@pytest.fixture(scope="module")
-def nodes():
-    with two_nodes() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -103,10 +96,7 @@ def test_a_killed_worker_loses_nothing(folder, nodes, alone, tmp_path):
     def kill():
         wait_for_rows(tmp_path, 4)
         while len(killed) < 4 and (tmp_path / FILE).read_bytes().count(b"\n") < 18:
-            for pid in set(nodes.workers()) - killed:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-                    killed.add(pid)
+            killed.update(nodes.kill_workers(but=killed))
             time.sleep(3.0)
 
     killer = threading.Thread(target=kill, daemon=True)

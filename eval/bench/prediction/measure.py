@@ -17,6 +17,46 @@ from vssm_gym.eval.studies.calibration.split import DIVISIONS, seed_of
 from vssm_gym.progress import OnProgress
 
 
+def score_models(
+    candidates: Sequence[WorldModel],
+    drives: Sequence[run.MappedDrive],
+    *,
+    split: Split,
+    seed: int,
+    on_progress: OnProgress | None = None,
+) -> list[dict[str, Any]]:
+    """Score models on drives.
+
+    Args:
+        candidates: the models.
+        drives: of the split.
+        split: of scenes and seeds.
+        seed: of the random numbers of the models.
+        on_progress: called with ("predictions", done, total).
+
+    Returns:
+        Rows as :func:`~vssm_gym.eval.bench.prediction.rows.row_of` returns them, model by model.
+    """
+    total = sum(len(run.times(given.drive)) for given in drives) * len(run.HORIZONS) * len(candidates)
+    done = 0
+
+    def on_prediction() -> None:
+        nonlocal done
+        done += 1
+        if on_progress:
+            on_progress("predictions", done, total)
+
+    rows = []
+    for model in candidates:
+        found: dict[float, list[list[Scores]]] = {seconds: [] for seconds in run.HORIZONS}
+        for number, given in enumerate(drives):
+            scores = run.scored(model, given, seed_of(split, seed, number), on_prediction)
+            for seconds, of_drive in scores.items():
+                found[seconds].append(of_drive)
+        rows += [row_of(model.name, seconds, of_model) for seconds, of_model in found.items()]
+    return rows
+
+
 def measure(
     *,
     split: Split,
@@ -42,23 +82,7 @@ def measure(
     """
     candidates = models.models() if candidates is None else candidates
     drives = list(run.mapped_drives(split, runs, seed, folder, on_progress))
-    total = sum(len(run.times(given.drive)) for given in drives) * len(run.HORIZONS) * len(candidates)
-    done = 0
-
-    def on_prediction() -> None:
-        nonlocal done
-        done += 1
-        if on_progress:
-            on_progress("predictions", done, total)
-
-    rows = []
-    for model in candidates:
-        found: dict[float, list[list[Scores]]] = {seconds: [] for seconds in run.HORIZONS}
-        for number, given in enumerate(drives):
-            scores = run.scored(model, given, seed_of(split, seed, number), on_prediction)
-            for seconds, of_drive in scores.items():
-                found[seconds].append(of_drive)
-        rows += [row_of(model.name, seconds, of_model) for seconds, of_model in found.items()]
+    rows = score_models(candidates, drives, split=split, seed=seed, on_progress=on_progress)
     return {
         "rows": rows,
         "fitted": fitted(drives) if split == "train" else None,

@@ -15,8 +15,12 @@ from vssm_gym.agents.policy import policy_file
 from vssm_gym.cli.sweeps.reproduce import reproduce
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError
+from vssm_gym.eval.bench.prediction.measure import measure
+from vssm_gym.eval.bench.prediction.models import models
+from vssm_gym.eval.bench.prediction.run import HORIZONS
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.metrics.training_runs import training_name
+from vssm_gym.eval.reproduction import prediction_rows
 from vssm_gym.eval.reproduction.comparison import NOT_OUTCOMES, first_difference, spread_evenly
 from vssm_gym.eval.reproduction.studies import STUDIES
 from vssm_gym.eval.reproduction.sweep_rows import POLICY_FOLDER, policies_of
@@ -175,6 +179,37 @@ def test_committed_rows_of_a_table_can_be_run_again(folder):
     assert kind.name == folder and len({row["row"] for row in rows}) == len(rows) == TABLE_ROWS[folder]
     assert all(len(row.keys() - {"row", "setting"}) > 1 for row in rows)
     assert "seconds" not in json.dumps([{name: row[name] for name in row.keys() - {"row", "setting"}} for row in rows])
+
+
+def test_committed_predictions_can_be_run_again_and_recorded_motions_are_left_out():
+    (kind,) = [kind for kind in STUDIES if kind.rows(BASELINES / "prediction")]
+    rows = kind.rows(BASELINES / "prediction")
+    assert [row["model"] for row in rows] == [model.name for model in models()]
+    assert all([part["seconds"] for part in row["horizons"]] == list(HORIZONS) for row in rows)
+
+
+@pytest.mark.slow
+def test_predictions_are_made_again_and_an_altered_score_is_named(tmp_path, capsys, monkeypatch):
+    last = models()[-1]  # the cheapest
+    monkeypatch.setattr(prediction_rows, "models", lambda: [last])
+    study = tmp_path / "study"
+    study.mkdir()
+    found = measure(split="train", runs=1, seed=3, folder=tmp_path, candidates=[last])
+    (study / "test.json").write_text(json.dumps(found))
+    reproduce(study, tmp_path / "again")
+    assert "1 of 1 rows have the same outcome" in capsys.readouterr().out
+    found["rows"][1]["nats"]["mean"] += 0.02
+    (study / "test.json").write_text(json.dumps(found))
+    with pytest.raises(SystemExit):
+        reproduce(study, tmp_path / "altered")
+    assert f"model {last.name}: horizons[1].nats.mean: expected" in capsys.readouterr().out
+    found["rows"][0]["model"] = "nobody"
+    (study / "test.json").write_text(json.dumps(found))
+    with pytest.raises(InputError, match="model: expected"):
+        reproduce(study, tmp_path / "refused")
+    (study / "test.json").write_text(json.dumps(found | {"setting": {}}))
+    with pytest.raises(InputError, match="setting: expected that of bench prediction"):
+        reproduce(study, tmp_path / "without")
 
 
 CALIBRATED = calibration.Setting(runs=1)

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 PATIENCE = 120.0  # s within which a node starts
@@ -60,6 +60,15 @@ class Nodes:
     def workers(self) -> list[int]:
         """Return the processes that are running a call."""
         return [pid for process in self.processes for pid in workers(process.pid)]
+
+    def kill_workers(self, but: Collection[int] = ()) -> set[int]:
+        """Kill the processes that are running a call, other than some; return those that lived."""
+        killed = set()
+        for pid in set(self.workers()) - set(but):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+                killed.add(pid)
+        return killed
 
     def files(self) -> list[Path]:
         """Return the files that calls have brought to the nodes."""
