@@ -23,6 +23,7 @@ from vssm_gym.eval.benchmark.prediction.models import PREDICTORS
 from vssm_gym.eval.benchmark.slam.methods import SLAM_METHODS
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack, Suite, Track
 from vssm_gym.eval.sweep.own_agents import code_hash
+from vssm_gym.eval.sweep.supervision import reason_of
 
 Kind: TypeAlias = Literal["agent", "slam", "predictor"]
 METHODS: dict[Kind, tuple[str, ...]] = {
@@ -157,7 +158,7 @@ def _loaded(reference: str, call: Callable[[], Any]) -> Any:
     except InputError:
         raise
     except (Exception, SystemExit) as error:
-        expected = f"code that can be imported and made; {type(error).__name__}: {error}"
+        expected = f"code that can be imported and made; {reason_of(error)}"
         raise InputError("entry", reference, expected) from error
 
 
@@ -173,7 +174,7 @@ def _imported(reference: str) -> Any:
     for part in name.split("."):
         found = getattr(found, part, None)
     if found is None or found is module:
-        classes = [key for key, value in vars(module).items() if isinstance(value, type)]
+        classes = [k for k, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__]
         offered = f"a class of {where}{did_you_mean(classes, name)}"
         raise InputError("entry", reference, f"{offered}; it has {', '.join(classes) or 'none'}"[:400])
     return found

@@ -73,7 +73,7 @@ def _cells(place: Place, table: Table, contacts: bool, observed: bool) -> list[s
         *(["-" if line.collisions is None else f"{line.collisions:.2f}"] if contacts else []),
         "-" if line.p95 is None else f"{1e3 * line.p95:.1f}{late}",
         str(line.episodes),
-        *([" and ".join(given) or "neither"] if observed else []),
+        *([" and ".join(given) or "neither pose nor map"] if observed else []),
         str(sum(line.faults.values())),
     ]
 

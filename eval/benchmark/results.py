@@ -10,6 +10,7 @@ import numpy as np
 from vssm_gym.envs.registration import ENVIRONMENTS
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.validation import StrictModel, validated
+from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.prediction.run import HORIZONS
 from vssm_gym.eval.bench.slam import FRAME_RATE
 from vssm_gym.eval.benchmark.scores import SCORES, Line, Score, line
@@ -20,6 +21,7 @@ from vssm_gym.eval.episodes.log import read_rows as read_episodes
 from vssm_gym.eval.studies.row_file import read_rows
 from vssm_gym.eval.sweep.config import expand
 from vssm_gym.files.json_file import read_json
+from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.geometry.car import Car
 
 MANIFEST = "benchmark.json"
@@ -58,7 +60,8 @@ class Place:
     Attributes:
         line: of the entry.
         entrant: the entry.
-        rank: from 1; None of an entry that is not ranked, because it is given the true pose where others estimate it.
+        rank: from 1, the same for equal scores with as many faults; None of an entry that is not ranked, because it is
+            given the true pose where others estimate it.
         reference: whether it is of the committed references.
         steady: whether no more processes ran or waited than there are cores when its run began: times are its own.
     """
@@ -85,6 +88,23 @@ def read_manifest(folder: Path) -> Manifest:
     """Return what a benchmark's folder states; raise :class:`InputError` for another folder."""
     path = folder / MANIFEST
     return validated(Manifest, read_json(path, expected="the JSON that a benchmark wrote"), path)
+
+
+def check_entries(out: Path, now: Manifest) -> None:
+    """Raise :class:`InputError` where a folder's run of the same suite has other entries, or other code of them."""
+    if not (out / MANIFEST).is_file():
+        return
+    there = read_manifest(out)
+    if there.suite_hash != now.suite_hash or there.entries == now.entries:
+        return
+    labels, wanted = ([one.label for one in of.entries] for of in (there, now))
+    if labels != wanted:
+        expected = f"{', '.join(labels)}, as the run in this folder has; found {', '.join(wanted)}"
+        raise InputError(out / MANIFEST, "entries", f"{expected} ({ADVICE})")
+    for before, entrant in zip(there.entries, now.entries, strict=True):
+        if before != entrant:
+            expected = "the code that the run in this folder began with: Python files of its package, or beside it,"
+            raise InputError(out / MANIFEST, f"entries.{entrant.label}", f"{expected} have changed ({ADVICE})")
 
 
 def references_of(suite: Suite, out: Path) -> dict[Path, Manifest]:
@@ -145,6 +165,22 @@ def _steady(manifest: Manifest) -> bool:
     return manifest.load is not None and manifest.load < (manifest.machine["cores"] or 0)
 
 
+def left_out(found: Sequence[Table], manifest: Manifest) -> list[str]:
+    """Return notices of entries that no table holds, because no track that was run is for them."""
+    names = {table.name for table in found}
+    return [
+        f"{one.label}: no track that was run is for it; it enters {', '.join(one.tracks)}."
+        for one in manifest.entries
+        if not names & set(one.tracks)
+    ]
+
+
+def without_references(found: Sequence[Table]) -> list[str]:
+    """Return a notice of the tables that hold no committed run; none where all do."""
+    names = [table.name for table in found if not any(place.reference for place in table.places)]
+    return [f"No run of the package's own entries is committed for {', '.join(names)}."] if names else []
+
+
 def differing_content(suite: Suite, out: Path, references: Mapping[Path, Manifest]) -> list[str]:
     """Return notices of recordings and drives that were others for a reference than they are in ``out``."""
     notices = []
@@ -169,14 +205,15 @@ def _contents(path: Path) -> dict[str, set[str]]:
 
 
 def _placed(lines: Sequence[tuple[Line, Entrant, bool, bool]], track: Track) -> tuple[Place, ...]:
-    """Rank lines by their score; those that do not count stand after the others."""
+    """Rank lines by their score, of equal ones by their faults; those that do not count stand after the others."""
     sign = -1.0 if score_of(track).direction == "higher" else 1.0
     apart = isinstance(track, DrivingTrack) and track.pose == "estimated"
-    order = sorted(lines, key=lambda found: (apart and found[1].needs_pose, sign * found[0].score.mean))
-    places = []
-    for number, (found, entrant, reference, steady) in enumerate(order, start=1):
-        ranked = not (apart and entrant.needs_pose)
-        places.append(Place(found, entrant, number if ranked else None, reference, steady))
+    worth = lambda found: (sign * found[0].score.mean, sum(found[0].faults.values()))
+    order = sorted(lines, key=lambda found: (apart and found[1].needs_pose, *worth(found)))
+    values, places = [worth(found) for found in order], []
+    for found, entrant, reference, steady in order:
+        rank = None if apart and entrant.needs_pose else 1 + values.index(worth((found,)))
+        places.append(Place(found, entrant, rank, reference, steady))
     return tuple(places)
 
 

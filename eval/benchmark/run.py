@@ -20,10 +20,13 @@ from vssm_gym.eval.benchmark.results import (
     Entrant,
     Manifest,
     as_json,
+    check_entries,
     differing_content,
+    left_out,
     read_manifest,
     references_of,
     tables,
+    without_references,
 )
 from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
 from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTrack, Suite, check_frozen, read_suite
@@ -92,6 +95,7 @@ def run_benchmark(
     content = manifest.model_dump(mode="json")
     owner = Owner("benchmark", MANIFEST, content, identity=("suite_hash", "entries"), resumed=tuple(suite.tracks))
     notices: list[str] = []
+    check_entries(out, manifest)
     with owned_folder(out, owner, resume):
         for name, entering in chosen.items():
             with timed(out, name):
@@ -182,7 +186,7 @@ def _write(suite: Suite, out: Path, now: Manifest, notices: list[str]) -> Path:
         notices = [*notices, f"A part was run by another version: {now.version}."]
     found = tables(suite, out, beside)
     stated = {name: value for name, value in own.model_dump(mode="json").items() if name not in ("entries", "tracks")}
-    notices = [*notices, *differing_content(suite, out, beside)]
+    notices = [*notices, *left_out(found, own), *without_references(found), *differing_content(suite, out, beside)]
     took = read_times(out)
     of_tracks = {table.name: as_json(table) | took.get(table.name, Took()).model_dump() for table in found}
     content = {**stated, "tracks": of_tracks, "notices": notices}

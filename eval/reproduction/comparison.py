@@ -24,10 +24,12 @@ class Reproduced:
     Attributes:
         name: of the row in words.
         difference: the first field that differs; None if the outcomes agree.
+        version: of the package that wrote the earlier row; None where it does not say so.
     """
 
     name: str
     difference: str | None
+    version: str | None = None
 
 
 def spread_evenly(rows: Sequence[dict[str, Any]], most: int) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from vssm_gym.eval.reproduction.comparison import Reproduced
 from vssm_gym.eval.reproduction.studies import STUDIES
 from vssm_gym.eval.reproduction.study_rows import reproduce_study
 from vssm_gym.eval.reproduction.sweep_rows import reproduce_sweep
+from vssm_gym.files.output_folders import ADVICE
 from vssm_gym.progress import OnProgress
 
 
@@ -25,7 +26,7 @@ def reproduce(
 
     Args:
         folder: of a sweep, or of a study of :data:`STUDIES`.
-        out: new or empty folder for the rows as they are now.
+        out: folder without rows, which gets the rows as they are now.
         most: rows at most.
         tolerance: of numbers, absolute below 1 and relative above.
         scenes: files of a sweep's scenes that are not built in, by name.
@@ -35,7 +36,12 @@ def reproduce(
     Raises:
         InputError: neither a sweep nor such a study, or what a row needs is not there.
     """
-    if (folder / FILE).is_file() or not folder.is_dir():
+    if not folder.is_dir():
+        raise InputError(folder, "folder", "a folder with the rows of a sweep or a study; there is none")
+    if held := [path.name for path in sorted(out.glob("*.jsonl")) if path.stat().st_size]:
+        expected = f"a folder without rows, which are never overwritten; it holds {held[0]} ({ADVICE})"
+        raise InputError(out, "folder", expected)
+    if (folder / FILE).is_file():
         return reproduce_sweep(folder, out, most, tolerance, scenes, workers, on_progress)
     for kind in STUDIES:
         if kind.rows(folder):

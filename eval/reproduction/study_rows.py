@@ -77,9 +77,10 @@ def reproduce_study(
                 on_progress("rows", done, len(chosen))
             found = dict(kind.again(row))
             file.append((json.dumps({name: row[name] for name in kind.identity} | found) + "\n").encode())
+            version = row.get("version", row.get("code"))
             compared = {
                 name: value for name, value in row.items() if name not in kind.made_by and name not in kind.identity
             }
-            outcome.append(Reproduced(kind.words(row), first_difference(compared, found, tolerance)))
+            outcome.append(Reproduced(kind.words(row), first_difference(compared, found, tolerance), version))
             kind.release()
     return outcome

@@ -81,7 +81,8 @@ def reproduce_sweep(
         again = found.get(episode_key(row))
         difference = "the row: not an episode of the sweep's configuration" if again is None else None
         name = f"{row['scene']}, {row['agent']}, noise {row['noise']}, task {row['task']}"
-        outcome.append(Reproduced(name, difference or first_difference(row, again or {}, tolerance)))
+        compared = difference or first_difference(row, again or {}, tolerance)
+        outcome.append(Reproduced(name, compared, row.get("version")))
     return outcome
 
 
@@ -129,7 +130,14 @@ def _hashes(folder: Path, manifest: Mapping[str, Any], config: SweepConfig) -> d
     """Return the content hash of each scene of the configuration; raise where it is not that of the sweep."""
     hashes = {}
     for scene in config.scenes:
-        name, content = scene_name(scene), protocol_of(config.env[0]).load(scene).content_hash()
+        name = scene_name(scene)
+        try:
+            content = protocol_of(config.env[0]).load(scene).content_hash()
+        except InputError as error:
+            if scene != name:  # a file, or a seed
+                raise
+            expected = f"built-in scenes, or files that --scenes names; {name!r:.80} is neither"
+            raise InputError(folder / MANIFEST, "config.scenes", expected) from error
         before = manifest.get("scene_hashes", {}).get(name)
         if before not in (None, content):
             raise InputError(folder / MANIFEST, f"scene_hashes.{name}", f"{content}, as the scene has; found {before}")

@@ -15,10 +15,13 @@ import math
 import os
 import resource
 import signal
+import sysconfig
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -34,7 +37,8 @@ T = TypeVar("T")
 WAITING = 10.0  # times its processor time that an entry may take on the clock
 TICK_SECONDS = 0.5  # s between two looks at the time of an entry that may have used it up
 NATIVE_GRACE = 60.0  # s after the alarm, within which native code has to return before its process is ended
-LONGEST_REASON = 200  # characters
+LONGEST_REASON, LONGEST_PLACE = 200, 80  # characters
+CALLER = "vssm_gym."  # whose modules call an entry
 LONGEST_STATUS = 1000  # characters of a status that rows keep
 FARTHEST_ESTIMATE = 1e6  # m and rad: errors beyond are no numbers of a row
 MOST_COUNTED = 1 << 53  # of a count: more are no numbers of a row
@@ -88,7 +92,36 @@ def reason_of(error: BaseException) -> str:
         words = str(error) if isinstance(error, InputError | WrongResultError) else f"{type(error).__name__}: {error}"
     except BaseException:
         words = type(error).__name__
-    return visible(" ".join(words.split()))[:LONGEST_REASON]
+    where = place_of(error)
+    return visible(" ".join(words.split()))[: LONGEST_REASON - len(where)] + where
+
+
+def place_of(error: BaseException) -> str:
+    """Return `` (FILE.py, line N)`` of the entry's own code that an error has passed last; empty where it has none.
+
+    The entry's own code is what lies in the folder of the first file that is neither of this package nor of Python, or
+    below it, but for packages that are installed there.
+    """
+    passed = [
+        (frame.f_globals.get("__name__"), frame.f_code.co_filename, n)
+        for frame, n in traceback.walk_tb(error.__traceback__)
+    ]
+    foreign = [
+        (Path(file), n) for module, file, n in passed if not (f"{module}.".startswith(CALLER) or _of_python(file))
+    ]
+    near = [one for one in foreign if one[0].is_relative_to(foreign[0][0].parent)]
+    own = [one for one in near if _installed(one[0]) == _installed(foreign[0][0])]
+    return visible(f" ({own[-1][0].name}, line {own[-1][1]})")[:LONGEST_PLACE] if own else ""
+
+
+def _installed(path: Path) -> bool:
+    return "site-packages" in path.parts
+
+
+def _of_python(file: str) -> bool:
+    """Return whether a file is one of Python's own library."""
+    frozen = file.startswith("<frozen ")
+    return frozen or (Path(file).is_relative_to(sysconfig.get_path("stdlib")) and not _installed(Path(file)))
 
 
 def processor_seconds() -> float:

@@ -22,7 +22,7 @@ OFTEN = "import vssm_gym.cli.shared.progress as p\np.LOG_SECONDS = 0.1\n"
 # A suite that runs in the background of a shell inherits an ignored Ctrl-C
 HEARD = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
 RUN = "import sys\nfrom vssm_gym.cli.main import main\nif __name__ == '__main__':\n    sys.exit(main())"
-NOTHING = "nothing of this run is kept; start it again with: "
+NOTHING = "no result of this run is kept; start it again with: "
 CONFIGS = {
     "sweep.yaml": "scenes: rooms.json\nagents: random\ntasks: 60\n",
     "train.yaml": (
@@ -66,7 +66,7 @@ COMMANDS = {
     "navigate": (
         "navigate --scene {0}/rooms.json --start 1,2 --goal 5,2 --agent random --out {1}",
         r"progress: (navigating|video): [1-9]\d* of \d+, ",
-        r"(nothing of this run is kept|{1} keeps .*run\.json); start it again with: ",
+        r"(no result of this run is kept|{1} keeps .*run\.json); start it again with: ",
     ),
 }
 NEEDS = {"train": "stable_baselines3", "explore": "imageio_ffmpeg", "navigate": "imageio_ffmpeg"}

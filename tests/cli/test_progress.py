@@ -129,7 +129,7 @@ def test_an_interruption_that_leaves_nothing_is_said(tmp_path):
     (tmp_path / "episodes.jsonl").touch()
     for out in (tmp_path, tmp_path / "new", tmp_path / "map.npz"):
         said = advice(out, ("episodes.jsonl",), True, ["sweep", "c.yaml"])
-        assert said == "nothing of this run is kept; start it again with: vssm-gym sweep c.yaml --resume"
+        assert said == "no result of this run is kept; start it again with: vssm-gym sweep c.yaml --resume"
 
 
 def test_the_decorator_finds_the_output_and_keeps_other_errors(tmp_path, monkeypatch):

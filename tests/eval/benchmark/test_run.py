@@ -54,18 +54,22 @@ def test_a_strangers_agent_enters_beside_a_crashing_one_and_one_of_the_package(i
     table = found["tracks"]["mapping"]["entries"]
     assert table.keys() == {"strangers_straight", "strangers_crash", "random"}  # the car's agent has its own track
     assert table["strangers_crash"]["score"]["mean"] == 0.0
-    assert table["strangers_crash"]["faults"] == {"ArithmeticError: no answer": 2}
+    number = 1 + agents.read_text().splitlines().index('            raise ArithmeticError("no answer")')
+    reason = f"ArithmeticError: no answer (strangers_agents.py, line {number})"
+    assert table["strangers_crash"]["faults"] == {reason: 2}
     assert table["strangers_straight"]["faults"] == {}
     assert table["strangers_straight"]["p95"] < 0.2
     rows = read_rows(out / "mapping" / FILE)
     straight = [row["spl"] for row in rows if row["agent"] == "strangers_straight"]
     assert table["strangers_straight"]["score"]["mean"] == pytest.approx(np.mean(straight))
     crashed = [row for row in rows if row["agent"] == "strangers_crash"]
-    assert {row["failure"] for row in crashed} == {"fault: ArithmeticError: no answer"}
+    assert {row["failure"] for row in crashed} == {f"fault: {reason}"}
     assert all(row["steps"] == 3 for row in crashed)
     text = page.read_text()
     assert "- strangers_crash: 2 of 2 runs: ArithmeticError: no answer" in text
     assert re.search(r"\| \d \| \*\*strangers_straight\*\* \| ", text)
+    assert "- vi_mpc: no track that was run is for it; it enters car." in text
+    assert "- No run of the package's own entries is committed for mapping." in text
     assert write_report(out / "mapping", 0, None).is_file()
 
 
@@ -76,8 +80,15 @@ def test_a_folder_resumes_only_the_same_suite_and_entries(in_process):
     before = log.read_bytes()
     with pytest.raises(InputError, match=r"it holds mapping \(--resume continues it"):
         run_benchmark(suite, [f"{agents}:Straight"], out)
-    with pytest.raises(InputError, match=r"benchmark\.json: entries: expected"):
+    with pytest.raises(InputError, match=r"benchmark\.json: entries: expected strangers_straight, as the run"):
         run_benchmark(suite, [f"{agents}:Straight", "random"], out, resume=True)
+    manifest = json.loads((out / MANIFEST).read_text())
+    manifest["entries"][0]["code"] = "0" * 16
+    (out / "benchmark.json").rename(out / "kept.json")
+    (out / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=r"benchmark\.json: entries\.strangers_straight: expected the code that the"):
+        run_benchmark(suite, [f"{agents}:Straight"], out, resume=True)
+    (out / "kept.json").rename(out / MANIFEST)
     assert log.read_bytes() == before
     log.write_bytes(before[: before.index(b"\n") + 1])
     run_benchmark(suite, [f"{agents}:Straight"], out, resume=True)

@@ -97,6 +97,15 @@ def test_ranks_follow_the_better_direction_and_leave_out_what_is_given_the_pose(
     assert [place.line.entry for place in _placed(lines, SLAM)] == ["near", "far"]
 
 
+def test_equal_scores_share_a_rank_unless_one_has_faults():
+    slam = lambda label: Entrant(label=label, kind="slam", tracks=("slam",))
+    (still,), (far,) = units(0.3), units(0.4)
+    rows = {"still": [still], "same": [still], "broken": [still | {"fault": "it broke"}], "far": [far]}
+    lines = [(line(n, of, SCORES["ate"], 1), slam(n), False, True) for n, of in reversed(rows.items())]
+    placed = {place.line.entry: place.rank for place in _placed(lines, SLAM)}
+    assert placed == {"still": 1, "same": 1, "broken": 3, "far": 4}
+
+
 def test_a_page_shows_names_of_any_content_as_text():
     wild = "a|b [link](x) <script>\n# `y`"
     found = line(wild, units(0.1, 0.3), SCORES["ate"], 2)

@@ -144,7 +144,7 @@ def test_what_cannot_be_made_in_the_worker_is_a_fault(monkeypatch, walk):
     entry = type("Found", (), {"make": lambda self: 1 / 0})()
     monkeypatch.setattr(slam_run, "find_entry", lambda reference: entry)
     row = run_recording(SlamUnit("mine", "mine", *walk, seconds=5.0))
-    assert row["fault"] == "ZeroDivisionError: division by zero"
+    assert row["fault"].startswith("ZeroDivisionError: division by zero (test_slam_run.py, line ")
 
 
 def broken(unit):
@@ -158,7 +158,7 @@ def test_any_other_error_of_a_run_is_a_row(walk, tmp_path):
     own = time.process_time()
     [row] = units.read_rows(units.run_units([unit], broken, standing_still, tmp_path / "slam"), units.UnitRow)
     assert processor_seconds() - before - (time.process_time() - own) > 0.1  # its process has been counted
-    assert row["fault"] == "LookupError: patched"
+    assert row["fault"].startswith("LookupError: patched")
     assert row["score"] == pytest.approx(standing_still(unit))
 
 

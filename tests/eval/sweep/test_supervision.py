@@ -3,13 +3,16 @@
 import subprocess
 import sys
 import time
+from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vssm_gym.agents.base import Decision
 from vssm_gym.agents.registry import make_agent
-from vssm_gym.eval.sweep.supervision import SupervisedAgent, Supervisor
+from vssm_gym.eval.sweep.supervision import LONGEST_REASON, SupervisedAgent, Supervisor, reason_of
 
 START = {"goal": np.zeros(2)}
 
@@ -147,6 +150,21 @@ def test_a_fault_gives_the_episode_up_once_and_for_all(result, reason):
     assert not agent.act(START).gives_up  # the next episode begins anew
 
 
+@given(st.text(st.characters(codec="utf-8"), max_size=400))
+def test_a_reason_ends_with_the_place_in_the_entrys_own_code(words):
+    """The entry is this file; its error comes from a library that it calls."""
+
+    def fails():
+        Fraction("x" + words)
+
+    with pytest.raises(ValueError, match="Fraction") as raised:
+        fails()
+    number = fails.__code__.co_firstlineno + 1
+    reason = reason_of(raised.value)
+    assert reason.endswith(f" (test_supervision.py, line {number})")
+    assert len(reason) <= LONGEST_REASON
+
+
 def test_a_decision_is_read_once():
     agent = supervised(Scripted(lambda: Turning(np.zeros(4), None, "")))
     agent.reset(Context(), START, 0)
@@ -159,7 +177,7 @@ def test_a_map_that_raises_is_a_fault():
     agent = supervised(type("Mapping", (Scripted,), {"map": property(leave)})())
     agent.reset(Context(), START, 0)
     assert agent.map is None
-    assert agent.fault == "SystemExit: 3"
+    assert agent.fault.startswith("SystemExit: 3 (test_supervision.py, line ")
 
 
 def test_each_episode_has_a_new_agent_that_the_class_speaks_for():
@@ -176,7 +194,7 @@ def test_a_class_that_cannot_be_made_fails_its_episode():
     agent = SupervisedAgent(Scripted, leave, 5.0)
     agent.reset(Context(), START, 0)
     assert agent.act(START).gives_up
-    assert agent.fault == "SystemExit: 3"
+    assert agent.fault.startswith("SystemExit: 3 (test_supervision.py, line ")
 
 
 def test_an_agent_that_has_failed_before_is_not_run():

@@ -63,7 +63,7 @@ def advice(out: Path, kept: tuple[str, ...], resumes: bool, arguments: list[str]
         arguments: of the interrupted command line.
     """
     found = [word for pattern in kept if (word := _found(out, pattern))]
-    what = f"{out} keeps {', '.join(found)}" if found else "nothing of this run is kept"
+    what = f"{out} keeps {', '.join(found)}" if found else "no result of this run is kept"
     again = shlex.join(["vssm-gym", *arguments, *(["--resume"] if resumes and "--resume" not in arguments else [])])
     return f"{what}; {'continue' if resumes and found else 'start it again'} with: {again}"
 

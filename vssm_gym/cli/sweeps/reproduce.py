@@ -21,12 +21,13 @@ def reproduce(
     """Run rows of a finished sweep or study again and demand the same outcomes; exit status 1 if one differs.
 
     The rows are spread evenly over all. Each is compared field by field: numbers within the tolerance, everything else
-    exactly; the first field that differs is printed. OUT gets the rows that were run. Policies NAME@HASH of a sweep are
-    looked for in FOLDER/policies.
+    exactly; the first field that differs is printed. What says by what and how fast a row was made, such as the hash of
+    the map that was learned, is not compared, nor are fields that a row does not have. OUT gets the rows that were run.
+    Policies NAME@HASH of a sweep are looked for in FOLDER/policies.
 
     Args:
         folder: of the sweep, such as eval/baselines/navigation_levels, or of a study, such as eval/baselines/maze_slam.
-        out: new or empty folder.
+        out: new or empty folder, or one in which an interrupted run has left no rows.
         episodes: rows to run.
         tolerance: of numbers, absolute below 1 and relative above.
         scenes: files of scenes that are not built in, as the sweep's configuration named them.
@@ -37,6 +38,7 @@ def reproduce(
     from vssm_gym.errors import InputError
     from vssm_gym.eval.reproduction.registry import reproduce as run
     from vssm_gym.files.output_folders import check_at_least, check_folder
+    from vssm_gym.version import package_version
 
     check_at_least("reproduce", "episodes", episodes, 1)
     if not 0.0 <= tolerance < 1.0:
@@ -47,6 +49,9 @@ def reproduce(
     different = [one for one in found if one.difference is not None]
     for one in different:
         say(f"{one.name}: {one.difference}")
+    others = sorted({one.version for one in different if one.version not in (None, package_version())})
+    if others:
+        say(f"rows that differ were made by {', '.join(others)}; this is {package_version()}")
     say(f"{len(found) - len(different)} of {len(found)} rows have the same outcome within {tolerance:g}")
     if different:
         raise SystemExit(1)
