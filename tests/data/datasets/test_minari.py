@@ -46,9 +46,9 @@ def test_arrays_come_back_equal(tmp_path):
 
 
 def test_metadata_states_what_an_episode_is_made_again_from(tmp_path):
-    write(tmp_path / "of drive", drawn_episodes())
-    dataset = minari.MinariDataset(tmp_path / "of drive" / "data")
-    assert dataset.id == "of-drive-v0"
+    write(tmp_path / "of-drive-v12", drawn_episodes())
+    dataset = minari.MinariDataset(tmp_path / "of-drive-v12" / "data")
+    assert dataset.id == "of-drive-v12"
     assert dataset.env_spec.id == "vssm_gym/PointNav-v0"
     assert dataset.env_spec.kwargs == {"scene": "oak", "noise": "low"} and dataset.env_spec.max_episode_steps == 77
     assert dataset.storage.metadata["vssm_gym"]["version"] == DESCRIPTION.version
@@ -57,11 +57,30 @@ def test_metadata_states_what_an_episode_is_made_again_from(tmp_path):
     assert [json.loads(one["vssm_gym"]) for one in stored] == [{"number": k, "name": "ü"} for k in range(3)]
 
 
+def test_minari_finds_and_lists_a_folder_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    write(tmp_path / "drive-v0", drawn_episodes((2,)))
+    assert minari.load_dataset("drive-v0").total_steps == 2
+    assert list(minari.list_local_datasets()) == ["drive-v0"]
+
+
+@pytest.mark.parametrize(
+    ("name", "better"),
+    [("few", "few-v0"), ("of drive", "of-drive-v0"), ("d-v0.1", "d-v0-1-v0"), ("d-v", "d-v-v0"), ("-v1", "-v1-v0")],
+)
+def test_a_name_that_minari_would_not_find_is_refused_with_one_that_it_does(tmp_path, name, better):
+    with pytest.raises(InputError, match=rf"{name}: name: expected the id of a .* a version at its end: {better}$"):
+        write(tmp_path / name, drawn_episodes((1,)))
+    assert list(tmp_path.iterdir()) == []
+    write(tmp_path / better, drawn_episodes((1,)))
+    assert minari.MinariDataset(tmp_path / better / "data").id == better
+
+
 def test_the_environment_of_the_registry_keeps_its_keywords(tmp_path):
     import gymnasium as gym
 
     before = dict(gym.spec("vssm_gym/PointNav-v0").kwargs)
-    write(tmp_path / "d", drawn_episodes((1,)))
+    write(tmp_path / "d-v0", drawn_episodes((1,)))
     assert gym.spec("vssm_gym/PointNav-v0").kwargs == before
 
 
@@ -70,8 +89,8 @@ def test_blocks_of_an_episode_are_joined(tmp_path):
     for block in blocks:
         for info in block.infos:
             info.clear()
-    assert write(tmp_path / "d", [Episode("one", None, {}, iter(blocks)), *drawn_episodes((2,))]) == (2, 11)
-    dataset = minari.MinariDataset(tmp_path / "d" / "data")
+    assert write(tmp_path / "d-v0", [Episode("one", None, {}, iter(blocks)), *drawn_episodes((2,))]) == (2, 11)
+    dataset = minari.MinariDataset(tmp_path / "d-v0" / "data")
     assert_equal(dataset[0], blocks)
     stored = list(dataset.storage.get_episode_metadata([0, 1]))
     assert [int(one["total_steps"]) for one in stored] == [9, 2] and "seed" not in stored[0]
@@ -81,13 +100,13 @@ def test_an_episode_of_another_kind_is_refused_and_nothing_is_left(tmp_path):
     other = drawn_block(2, 0)
     del other.observations["goal"]  # type: ignore[attr-defined]
     with pytest.raises(InputError, match=r"drawn episodes: episodes: expected observations of one kind, .*; other has"):
-        write(tmp_path / "d", [*drawn_episodes((1,)), Episode("other", 0, {}, [other])])
+        write(tmp_path / "d-v0", [*drawn_episodes((1,)), Episode("other", 0, {}, [other])])
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_episode_without_a_step_is_refused(tmp_path):
     with pytest.raises(InputError, match="a step in each of them; none has none"):
-        write(tmp_path / "d", [Episode("none", 0, {}, [])])
+        write(tmp_path / "d-v0", [Episode("none", 0, {}, [])])
 
 
 def test_a_missing_library_is_one_sentence(monkeypatch):

@@ -71,18 +71,18 @@ def test_a_recording_comes_back_equal(tmp_path, form):
     colours, _ = record(tmp_path / "walk")
     description, episode = read_recording(tmp_path / "walk", "0.1.0")
     stored = np.stack([np.array(Image.open(path)) for path in sorted((tmp_path / "walk/depth").iterdir())])
-    assert write_dataset(form, lambda _: (description, [episode]), tmp_path / "out") == (1, FRAMES - 1)
+    assert write_dataset(form, lambda _: (description, [episode]), tmp_path / "out-v0") == (1, FRAMES - 1)
     if form == "minari":
         import minari
 
-        [found] = minari.MinariDataset(tmp_path / "out" / "data")
+        [found] = minari.MinariDataset(tmp_path / "out-v0" / "data")
         np.testing.assert_array_equal(found.observations["rgb"], colours)
         np.testing.assert_array_equal(found.observations["depth"], stored)
     else:
         from tests.helpers.datasets.lerobot_layout import read_columns
 
-        columns, _ = read_columns(tmp_path / "out")
-        with np.load(tmp_path / "out/last/episode-000000.npz") as last:
+        columns, _ = read_columns(tmp_path / "out-v0")
+        with np.load(tmp_path / "out-v0/last/episode-000000.npz") as last:
             depth = np.concatenate([columns["observation.depth"], last["depth"][None]])
             rgb = np.concatenate([columns["observation.images.rgb"], last["rgb"][None]])
         np.testing.assert_array_equal(depth, stored)
@@ -97,7 +97,7 @@ def test_a_damaged_image_is_named_and_nothing_is_left(tmp_path, form):
     damaged.write_bytes(damaged.read_bytes()[:60])
     description, episode = read_recording(tmp_path / "walk", "0.1.0")
     with pytest.raises(InputError, match=rf"{damaged.name}: pixels: expected a readable image"):
-        write_dataset(form, lambda _: (description, [episode]), tmp_path / "out")
+        write_dataset(form, lambda _: (description, [episode]), tmp_path / "out-v0")
     assert [path.name for path in tmp_path.iterdir()] == ["walk"]
 
 

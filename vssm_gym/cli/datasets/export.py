@@ -31,9 +31,10 @@ def export(
 
     Args:
         source: YAML file of a sweep with one environment, or a TUM folder of `vssm-gym record`.
-        out: new or empty folder; it appears when the data set is complete.
+        out: new or empty folder; it appears when the data set is complete. Of Minari its name is the data set's id,
+            with a version at its end, as demo-v0.
         format: of Minari, or of LeRobot (version 3.0).
-        map: of a configuration: a map for its agents in place of learned ones, such as the oak that comes along.
+        map: of a configuration of one scene: a map of it for the agents in place of a learned one; oak comes along.
         scenes: of a configuration: in place of its scenes.
         seed: of a configuration: seed of the recorded drives from which maps are learned.
     """
@@ -56,11 +57,15 @@ def export(
             say(f"warning: {notice}", error=True)
         episodes, steps = write_dataset(format, lambda _: (description, [episode]), out)
     else:
+        from vssm_gym.cli.datasets.given_map import check_given_map
         from vssm_gym.eval.sweep.config import load_config
         from vssm_gym.eval.sweep.recorded import recorded_episodes
 
         config = load_config(source, scenes)
+        notice = None if map is None else check_given_map(config, map)
         print_notices(config.scenes)
+        if notice:
+            say(f"warning: {notice}", error=True)
         with progress_bars() as progress:
             episodes, steps = write_dataset(
                 format, lambda scratch: recorded_episodes(config, scratch, seed, map, progress), out

@@ -7,7 +7,7 @@ from pathlib import Path
 from vssm_gym.data.datasets.arrow_tables import load_arrow
 from vssm_gym.data.datasets.episode import Description, Episode
 from vssm_gym.data.datasets.lerobot import write_lerobot
-from vssm_gym.data.datasets.minari import load_minari, write_minari
+from vssm_gym.data.datasets.minari import check_id, load_minari, write_minari
 from vssm_gym.errors import InputError, one_of
 from vssm_gym.files.output_folders import check_new_folder, whole_folder
 
@@ -15,11 +15,11 @@ SCRATCH = ".scratch"  # the folder of what is removed at the end
 Source = Callable[[Path], tuple[Description, Iterable[Episode]]]
 Write = Callable[[Description, Iterable[Episode], Path, str], tuple[int, int]]
 
-FORMATS: dict[str, tuple[Write, Callable[[object], object]]] = {
-    "minari": (write_minari, load_minari),
-    "lerobot": (write_lerobot, load_arrow),
+FORMATS: dict[str, tuple[Write, Callable[[object], object], Callable[[Path], None] | None]] = {
+    "minari": (write_minari, load_minari, check_id),
+    "lerobot": (write_lerobot, load_arrow, None),
 }
-"""How a data set of each format is written, and what imports the library that it takes."""
+"""How a data set of each format is written, what imports its library, and what checks the name of its folder."""
 
 
 def check_export(source: object, form: str, out: Path) -> None:
@@ -27,7 +27,10 @@ def check_export(source: object, form: str, out: Path) -> None:
     if form not in FORMATS:
         raise InputError(source, "format", one_of(FORMATS, form))
     check_new_folder(out)
-    FORMATS[form][1](source)
+    _, load, check_name = FORMATS[form]
+    if check_name is not None:
+        check_name(out)
+    load(source)
 
 
 def write_dataset(form: str, source: Source, out: Path) -> tuple[int, int]:
@@ -43,14 +46,16 @@ def write_dataset(form: str, source: Source, out: Path) -> tuple[int, int]:
         The number of episodes and of steps.
 
     Raises:
-        InputError: the library of the format is not installed, the folder is not empty, or episodes differ in kind.
+        InputError: the library of the format is not installed, the folder is not empty or has a name that the format
+            does not take, or episodes differ in kind.
         OutputError: the folder cannot be written.
     """
     check_export("dataset", form, out)
+    write = FORMATS[form][0]
     with whole_folder(out) as unfinished:
         scratch = unfinished / SCRATCH
         scratch.mkdir()
         description, episodes = source(scratch)
-        counts = FORMATS[form][0](description, episodes, unfinished, out.resolve().name)
+        counts = write(description, episodes, unfinished, out.resolve().name)
         shutil.rmtree(scratch)
     return counts

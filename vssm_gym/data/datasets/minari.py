@@ -1,8 +1,9 @@
 """Write a data set in Minari's format: ``FOLDER/data`` with ``main_data.hdf5`` and ``metadata.json``.
 
 Images are stored as arrays, without Minari's default JPEG, and depth as the numbers that were measured: what Minari
-reads back is equal to what was observed, bit by bit. ``minari.MinariDataset(FOLDER/data)`` reads it; under Minari's own
-folder of data sets ``minari.load_dataset(ID)`` does.
+reads back is equal to what was observed, bit by bit. ``minari.MinariDataset(FOLDER/data)`` reads it; in Minari's own
+folder of data sets ``minari.load_dataset(ID)`` does. It looks for a folder that has the id as its name, and its list of
+data sets ends with an error at a name without a version: so the folder is named as an id is.
 """
 
 import copy
@@ -19,7 +20,7 @@ from vssm_gym.data.datasets.episode import OTHER_INFO, Block, Description, Episo
 from vssm_gym.errors import InputError
 
 EPISODE = "vssm_gym"  # the entry of an episode's metadata that it can be made again from, as JSON text
-VERSIONED = re.compile(r"[-_A-Za-z0-9]+-v\d+")  # the names that Minari takes
+VERSIONED = re.compile(r"[-_A-Za-z0-9]+-v[0-9]+")  # the ids that Minari takes
 REMEDY = "this library: pip install 'vssm-gym[datasets]'"
 LARGEST_ATTRIBUTE = 60_000  # bytes of an episode's metadata: HDF5 keeps less than 64 kB of it
 
@@ -35,6 +36,15 @@ def load_minari(source: object) -> Any:
     return minari
 
 
+def check_id(out: Path) -> None:
+    """Raise :class:`InputError` unless a folder's name can be the id of a data set; the message says which name can."""
+    name = out.resolve().name
+    if not VERSIONED.fullmatch(name):
+        better = f"{re.sub('[^-_A-Za-z0-9]', '-', name) or 'data'}-v0"
+        expected = f"the id of a data set of Minari, of letters, digits, - and _, with a version at its end: {better}"
+        raise InputError(out, "name", expected)
+
+
 def write_minari(description: Description, episodes: Iterable[Episode], folder: Path, name: str) -> tuple[int, int]:
     """Write a data set into an empty folder.
 
@@ -42,7 +52,7 @@ def write_minari(description: Description, episodes: Iterable[Episode], folder: 
         description: of all episodes.
         episodes: read once, one after the other.
         folder: that the data set is written to.
-        name: of the folder when it is complete: the data set's id, with ``-v0`` where it states no version.
+        name: of the folder when it is complete: the data set's id, as :func:`check_id` demands it.
 
     Returns:
         The number of episodes and of steps.
@@ -75,7 +85,7 @@ def write_minari(description: Description, episodes: Iterable[Episode], folder: 
         total += steps
     storage.update_metadata(
         {
-            "dataset_id": name if VERSIONED.fullmatch(name) else f"{re.sub('[^-_A-Za-z0-9]', '-', name) or 'data'}-v0",
+            "dataset_id": name,
             "minari_version": minari.__version__,
             "description": f"{description.source}, by vssm-gym {description.version}",
             "algorithm_name": ", ".join(description.agents) or "recording",
