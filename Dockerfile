@@ -1,7 +1,11 @@
 # Environments, world model and agents on a CPU:  docker build -t vssm-gym . && docker run --rm vssm-gym doctor
+# A container's files are lost with it, so a command with --out writes to a folder of the host, as the user who owns it:
+#   mkdir -p out
+#   docker run --rm -v "$PWD/out:/out" --user "$(id -u):$(id -g)" -e HOME=/tmp vssm-gym demo --out /out/demo
 FROM python:3.11-slim AS build
 WORKDIR /src
-RUN python -m pip install --no-cache-dir build
+COPY constraints.txt .
+RUN python -m pip install --no-cache-dir -c constraints.txt build
 COPY . .
 RUN python -m build --wheel --outdir /dist .
 

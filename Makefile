@@ -1,5 +1,5 @@
 # make demo | test | lint: each builds .venv first when it is missing or its requirements changed.
-# Needs Python 3.11-3.13 and make, nothing else.  PYTHON=/path/to/python chooses the interpreter.
+# Needs Python 3.11-3.14 and make, nothing else.  PYTHON=/path/to/python chooses the interpreter.
 
 .SHELLFLAGS := -ec
 .DEFAULT_GOAL := help

@@ -1,18 +1,25 @@
 """Drive an apartment with an agent that plans in a learned map, and write what it did as an animated picture.
 
     python examples/drive.py [AGENT]    # astar (default), or policy:oak, a trained policy that comes with the package
+    python examples/drive.py --help     # more names
 
 The map of ``oak`` comes with the package too, so that nothing is recorded, learned or trained here.
 """
 
-import sys
+import argparse
 
 import gymnasium as gym
 from PIL import Image
 
 import vssm_gym as vg
 
-agent = vg.make_agent(sys.argv[1] if len(sys.argv) > 1 else "astar")
+names = "astar (default), policy:oak, policy:FILE, or another agent of PointNav: astar+theta_star, slam_nav, oracle"
+parser = argparse.ArgumentParser(description="Drive an apartment with an agent, and write drive.gif.")
+parser.add_argument("agent", nargs="?", default="astar", help=names)
+try:
+    agent = vg.make_agent(parser.parse_args().agent)
+except vg.InputError as error:
+    parser.error(f"{error}; or policy:oak")
 env = gym.make("vssm_gym/PointNav-v0", scene="oak", noise="mid", render_mode="rgb_array")
 observation, info = env.reset(seed=4)
 agent.reset(vg.agent_context(env, info, vg.VoxelMap.load("oak")), observation, seed=0)

@@ -172,6 +172,13 @@ def test_equations_are_numbered_and_name_their_functions(page, letter):
         assert re.search(r"^`vssm_gym\.[\w.]+`", entry, re.MULTILINE), f"{label} names no function"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_no_equation_holds_a_link(page):
+    """An indented block is shown as it is written."""
+    blocks = re.findall(r"(?<=\n\n)(?: {4}.*\n)+", text_of(page))
+    assert [block for block in blocks if re.search(r"\]\([^)\s]*[#/.][^)\s]*\)", block)] == []
+
+
 def entries() -> dict[str, str]:
     """Return the text of every equation, from its label to the next label or heading, by label."""
     found = {}
@@ -439,4 +446,4 @@ RUNNABLE = [
 @pytest.mark.parametrize(("page", "number"), RUNNABLE, ids=[f"{ids(page)}-{i}" for page, i in RUNNABLE])
 def test_examples_run(page, number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(fences(page)[number], ids(page), "exec"), {"__name__": "example"})
+    exec(compile(fences(page)[number], ids(page), "exec"), {"__name__": "__main__"})

@@ -21,6 +21,8 @@ from tests.test_docs_tables import rows, section
 from vssm_gym.agents.base import Agent
 from vssm_gym.agents.registry import AGENTS
 from vssm_gym.envs.sensors.registry import SENSORS
+from vssm_gym.eval.bench.prediction import measure
+from vssm_gym.eval.bench.prediction.contract import WorldModel
 from vssm_gym.eval.metrics.metric import Metric
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.model.transition import PLANAR, RIGID, Rigid
@@ -145,6 +147,21 @@ def test_the_python_of_contributing_is_typed(tmp_path):
     mypy = [sys.executable, "-m", "mypy", *own, *strict]
     done = subprocess.run([*mypy, *files], cwd=CHECKOUT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+# docs/prediction.md
+
+
+def test_importing_the_model_of_the_page_measures_nothing(monkeypatch):
+    """The benchmark imports the file of an entry."""
+    [block] = [block for block in fences(CHECKOUT / "docs" / "prediction.md") if "class StandingStill" in block]
+    monkeypatch.setattr(measure, "measure", lambda **_: pytest.fail("a measurement has begun"))
+    names: dict[str, Any] = {"__name__": "still"}
+    exec(compile(block, "prediction.md", "exec"), names)
+    assert isinstance(names["StandingStill"](), WorldModel)
+    names["__name__"] = "__main__"
+    with pytest.raises(pytest.fail.Exception, match="has begun"):
+        exec(compile(block, "prediction.md", "exec"), names)
 
 
 # docs/model.md: what a filter takes from its transition

@@ -34,6 +34,14 @@ def test_every_example_is_run():
     assert [path for path in EXAMPLES.iterdir() if path.suffix not in (".py", ".md", ".ipynb")] == []
 
 
+@pytest.mark.parametrize(("argument", "code"), [("--help", 0), ("no_such_agent", 2)])
+def test_the_drive_names_its_agents(argument, code):
+    command = [sys.executable, str(EXAMPLES / "drive.py"), argument]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = done.stdout + done.stderr
+    assert done.returncode == code and "policy:oak" in said and "astar" in said and "Traceback" not in said
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_an_example(name, tmp_path):

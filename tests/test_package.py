@@ -192,6 +192,7 @@ def test_the_citation_is_of_this_version():
     with (CHECKOUT / "CITATION.cff").open() as file:
         citation = yaml.safe_load(file)
     project = PROJECT["project"]
+    assert f"# {citation['title']}" == (CHECKOUT / "README.md").read_text().partition("\n")[0]
     assert (citation["version"], citation["license"]) == (project["version"], project["license"])
     assert {paper["notes"] for paper in citation["references"]} == {"VSSM-LM", "PRISM", "TNP-SM", "DVBF-LM"}
 
@@ -202,7 +203,7 @@ def test_the_workflow_calls_targets_and_versions_that_exist():
     commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
     targets = {word for line in commands if line.startswith("make ") for word in line.split()[1:] if "=" not in word}
     makefile = (CHECKOUT / "Makefile").read_text()
-    assert targets == {"install", "lint", "test"} and all(f"\n{target}:" in makefile for target in targets)
+    assert targets == {"install", "lint", "test", "docs"} and all(f"\n{target}:" in makefile for target in targets)
     classifiers = PROJECT["project"]["classifiers"]
     for version in jobs["test"]["strategy"]["matrix"]["python"]:
         assert f"Programming Language :: Python :: {version}" in classifiers

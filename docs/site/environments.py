@@ -29,7 +29,11 @@ def environment(name: str) -> str:
         ("action", f"`{space(env.action_space)}`"),
         *((f"observation, `{key}`", f"`{space(part)}`") for key, part in observation.items()),
         ("most steps", str(spec.max_episode_steps or "none: the episode ends by itself")),
-        ("keywords set", ", ".join(f"`{key}={value!r}`" for key, value in spec.keywords.items()) or "none"),
+        (
+            "keywords that the id sets",
+            ", ".join(f"`{key}={value!r}`" for key, value in spec.keywords.items())
+            or "none: each has the default of the class",
+        ),
         ("agents", ", ".join(f"`{agent}`" for agent in agents(name)) or "none in sweeps"),
     ]
     return "\n".join(["| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in rows)]) + "\n"

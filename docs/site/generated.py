@@ -10,15 +10,17 @@ from pathlib import Path
 
 from contents import contents
 from environments import environment
-from reference import environment_classes, imported, reference
+from reference import environment_bases, environment_classes, imported, reference
 from results import results
 from sphinx.application import Sphinx
+from stand_ins import install
 
 MARK = re.compile(r"^<!-- site: (\w+)(.*?)-->$", re.MULTILINE | re.DOTALL)
 ANCHOR = re.compile(r'<a id="([\w-]+)"></a>')
 GENERATORS: dict[str, Callable[..., str]] = {
     "contents": contents,
     "environment": environment,
+    "environment_bases": environment_bases,
     "environment_classes": environment_classes,
     "imported": imported,
     "reference": reference,
@@ -44,6 +46,7 @@ def open_readme(app: Sphinx, error: Exception | None) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Complete every page as it is read."""
+    install()
     app.connect("source-read", read)
     app.connect("build-finished", open_readme)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -12,6 +12,9 @@ import vssm_gym as vg
 from vssm_gym.envs.registration import ENVIRONMENTS
 
 DOCS = Path(__file__).resolve().parents[1]
+BASE = "vssm_gym.envs.phased.PhasedEnv"  # whose methods have one entry for all environments
+KEYWORDS = ("vssm_gym.envs.simulation.Simulation", "vssm_gym.envs.world_model.config.Imagination")
+OWN = "   :exclude-members: passes_to, refuses, sense, report, panels, captions\n"
 
 
 def reference(*names: str) -> str:
@@ -22,7 +25,12 @@ def reference(*names: str) -> str:
 def environment_classes() -> str:
     """Return the entries of the classes behind the registered ids."""
     paths = dict.fromkeys(spec.env.replace(":", ".") for spec in ENVIRONMENTS.values())
-    return "\n".join(entry(path, members="") for path in paths)
+    return "\n".join(entry(path, OWN) for path in paths)
+
+
+def environment_bases() -> str:
+    """Return the entries of what these classes share: reset, step and render, and the keywords that they pass on."""
+    return "\n".join([entry(BASE, signature="()"), *(entry(path, "   :no-members:\n") for path in KEYWORDS)])
 
 
 def imported() -> str:
@@ -37,6 +45,7 @@ def imports() -> dict[str, set[str]]:
     """Return ``module -> names`` of the imports in the Python blocks of ``docs``: those without an entry elsewhere."""
     known = {id(getattr(vg, name)) for name in vg.PUBLIC}
     known |= {id(target(spec.env.replace(":", "."))) for spec in ENVIRONMENTS.values()}
+    known |= {id(target(path)) for path in (BASE, *KEYWORDS)}
     found: dict[str, set[str]] = defaultdict(set)
     for page in sorted(DOCS.rglob("*.md")):
         for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL):
@@ -63,8 +72,8 @@ def target(path: str) -> object:
     return getattr(owner, name) if hasattr(owner, name) else importlib.import_module(path)
 
 
-def entry(path: str, members: str = "   :members:\n") -> str:
-    """Return the directive that documents one name."""
+def entry(path: str, members: str = "   :members:\n", signature: str = "") -> str:
+    """Return the directive that documents one name, with the signature that Python states unless one is given."""
     found = target(path)
     if isinstance(found, ModuleType):
         kind = "automodule"
@@ -74,4 +83,4 @@ def entry(path: str, members: str = "   :members:\n") -> str:
         kind, members = "autofunction", ""
     else:
         return f"```{{eval-rst}}\n.. py:data:: {path}\n```\n"  # autodoc would show the docstring of its class
-    return f"```{{eval-rst}}\n.. {kind}:: {path}\n{members}```\n"
+    return f"```{{eval-rst}}\n.. {kind}:: {path}{signature}\n{members}```\n"

@@ -3,6 +3,7 @@
 import errno
 import importlib.metadata
 import json
+import os
 import pickle
 import re
 import subprocess
@@ -188,6 +189,21 @@ def test_a_closed_pipe_is_no_error(tmp_path):
     process.stdout.close()
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["benchmark", "--help"], ["map", "build", "--help"]])
+def test_help_into_a_closed_pipe_is_no_error(arguments):
+    """``vssm-gym benchmark --help | head -0``: the pipe is closed before the help is printed."""
+    program = f"import sys; sys.argv[1:] = {arguments}; from vssm_gym.cli.main import main; sys.exit(main())"
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", program], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_record_and_sweep_print_a_scenes_warnings(vssm, tmp_path):

@@ -72,17 +72,25 @@ BAD_INPUT = 2  # also what a wrong option exits with
 
 def main() -> int:
     """Run the command that ``sys.argv`` names and return the exit code."""
+    with termination_as_interrupt() as interrupted:
+        return _report(_run, interrupted)
+
+
+def _run() -> Any:
+    """Parse ``sys.argv`` and run the command; ``--help`` and wrong options end in ``SystemExit``."""
     if sys.argv[1:] == ["--version"]:
         say(f"vssm-gym {__version__}")
         return 0
     arguments = sys.argv[1:] or ["--help"]
     name = arguments[0]
     commands = {name: COMMANDS[name]} if name in COMMANDS else COMMANDS
-    run = build_app(commands, brief=name not in COMMANDS).cli(
-        prog="vssm-gym", description=DESCRIPTION, args=arguments, config=(FlagCreatePairsOff,)
-    )
-    with termination_as_interrupt() as interrupted:
-        return _report(run, interrupted)
+    try:
+        run = build_app(commands, brief=name not in COMMANDS).cli(
+            prog="vssm-gym", description=DESCRIPTION, args=arguments, config=(FlagCreatePairsOff,)
+        )
+    finally:
+        sys.stdout.flush()  # the help: a pipe that its reader has closed fails here and not at exit
+    return run()
 
 
 def _report(run: Callable[[], Any], interrupted: Callable[[], int]) -> int:

@@ -24,14 +24,16 @@ EXPLORE_REWARD = DenseReward(step_cost=0.005, gain=10.0)  # gain: of the whole c
 
 
 class ExploreEnv(PhasedEnv):
-    """Simulate one robot in one apartment. Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
+    """Simulate one robot that observes as much of an unknown apartment as it can.
+
+    Registered as ``vssm_gym/Explore-v0``, truncated after 2000 steps.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
         reward: ``dense`` (ten times the coverage gained, less a cost a step) or ``sparse`` (1 when finished).
         finish: coverage at which the episode ends with success; above 1 it never does.
         observe_pose: if True, the observation holds the true pose, as in the published experiments.
-        simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
+        simulation: all further keywords: ``noise``, ``sensor_noise``, ``camera`` and the others of
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
 

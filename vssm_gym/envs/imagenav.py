@@ -4,7 +4,8 @@ The goal's position is not observed, only the image that the robot's own camera,
 tables of observation, action, reward and termination are in ``docs/envs/imagenav.md``.
 """
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -14,26 +15,27 @@ from vssm_gym.envs.pointnav import PointNavEnv
 from vssm_gym.envs.rendering.captions import Caption, Panel
 from vssm_gym.envs.rendering.topdown import PICTURE, at_height
 from vssm_gym.envs.sensors.task_observation import TaskObservation
-from vssm_gym.errors import InputError
 
 GOAL_HEADINGS = 8  # directions, evenly spread, in which a goal image may look
 OPEN_DEPTH = 1.0  # m, median depth from which a view counts as open: bare walls within reach say nothing about a place
 
 
 class ImageNavEnv(PhasedEnv):
-    """Simulate one robot in one apartment. Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
+    """Simulate one robot that drives to where a given image of an apartment was taken.
+
+    Registered as ``vssm_gym/ImageNav-v0``, truncated after 500 steps.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
-        navigation: the keywords of :class:`~vssm_gym.envs.pointnav.PointNavEnv`, which moves, rewards and ends.
+        navigation: all further keywords: those of :class:`~vssm_gym.envs.pointnav.PointNavEnv`, which moves, rewards
+            and ends, but for ``goal``.
     """
 
     passes_to = PointNavEnv
+    refuses: ClassVar[Mapping[str, str]] = {"goal": "no such keyword here: the goal is an image"}
     metadata = PointNavEnv.metadata
 
     def __init__(self, scene: Any = "oak", **navigation: Any) -> None:
-        if "goal" in navigation:
-            raise InputError("ImageNav", "goal", "no such keyword here: the goal is an image")
         self.navigation = PointNavEnv(scene, **navigation)
         self.frames, self.render_mode = self.navigation.frames, self.navigation.render_mode
         self.parallel = self.navigation.parallel

@@ -11,6 +11,7 @@ truncation (``TimeLimit``) is outside: only the wrapper knows of it.
 
 import abc
 import inspect
+from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 import gymnasium as gym
@@ -30,11 +31,18 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
     """Compose Gymnasium's ``reset`` and ``step`` of ``begin``, ``advance``, ``sense`` and ``report``."""
 
     passes_to: ClassVar[type | None] = None  # the class whose keywords the constructor accepts besides its own
+    refuses: ClassVar[Mapping[str, str]] = {}  # keywords of that class which it does not accept, and why
+    __signature__: ClassVar[inspect.Signature]
     parallel: bool = False  # True if several environments may sense at once, in threads of one process
     frames: Frames  # set by the constructor
     tally: Tally | None = None  # of the episode under way; None before the first one
     _closed: bool = False
     _running: bool = False  # True from a reset to the step that ends the episode
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        """State the keywords of the constructor, which ``help`` and the reference would take from ``__new__``."""
+        super().__init_subclass__(**given)
+        cls.__signature__ = signature_of(cls)
 
     def __new__(cls, *_: Any, **given: Any) -> Self:
         """Raise :class:`InputError`, which lists the keywords of the constructor, for any other keyword."""
@@ -42,6 +50,8 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         for name in given:
             if name in _REPLACED and "sensors" in taken:
                 raise InputError(cls.__name__.removesuffix("Env"), name, _REPLACED[name])
+            if name in cls.refuses:
+                raise InputError(cls.__name__.removesuffix("Env"), name, cls.refuses[name])
             if name not in taken:
                 raise InputError(cls.__name__.removesuffix("Env"), name, f"one of its keywords: {', '.join(taken)}")
         return super().__new__(cls)
@@ -73,7 +83,7 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Start an episode; see :meth:`begin` for seed and options."""
+        """Start an episode, and return its first observation and info; see :meth:`begin` for seed and options."""
         self._check_open()
         super().reset(seed=seed)
         self.begin(seed, options)
@@ -85,7 +95,11 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
         return observation, info
 
     def step(self, action: np.ndarray) -> Report:
-        """Carry out an action; see :meth:`advance`. Raises ``ResetNeeded`` where no episode is under way."""
+        """Carry out an action; see :meth:`advance`.
+
+        Returns observation, reward, terminated, truncated and info. Raises ``ResetNeeded`` where no episode is under
+        way.
+        """
         self._check_open()
         if not self._running:
             raise gym.error.ResetNeeded("call reset before step: no episode has begun, or the last one has ended")
@@ -123,12 +137,27 @@ class PhasedEnv(gym.Env[dict[str, Any], np.ndarray], abc.ABC):
             raise gym.error.ClosedEnvironmentError("the environment is closed: make a new one")
 
 
+def signature_of(cls: type) -> inspect.Signature:
+    """Return the signature of a class with the keywords of the class that it passes the rest to."""
+    return inspect.Signature(list(_parameters(cls).values()))
+
+
 def keywords_of(cls: type) -> list[str]:
     """Return the keywords of a class, and those of the class that it passes the rest to."""
-    own = [
-        name
-        for name, parameter in inspect.signature(cls.__init__).parameters.items()  # type: ignore[misc]
-        if name != "self" and parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
-    ]
+    return list(_parameters(cls))
+
+
+def _parameters(cls: type) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a constructor by name; those of the other class are keywords here."""
+    given = inspect.signature(cls.__init__).parameters.items()  # type: ignore[misc]
+    rest = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    own = {name: parameter for name, parameter in given if name != "self" and parameter.kind not in rest}
     further = getattr(cls, "passes_to", None)
-    return own if further is None else list(dict.fromkeys(own + keywords_of(further)))
+    if further is None:
+        return own
+    refused = getattr(cls, "refuses", {})
+    return own | {
+        name: parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for name, parameter in _parameters(further).items()
+        if name not in own and name not in refused
+    }

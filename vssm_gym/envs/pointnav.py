@@ -36,7 +36,9 @@ POINTNAV_REWARD = DenseReward(step_cost=0.01, success=2.5)  # in metres gained
 
 
 class PointNavEnv(PhasedEnv):
-    """Simulate one robot in one apartment. Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
+    """Simulate one robot that drives to a point of an apartment.
+
+    Registered as ``vssm_gym/PointNav-v0``, truncated after 500 steps.
 
     Args:
         scene: built-in name, ``procedural:SEED``, path of a scene file, or an :class:`Apartment`.
@@ -47,7 +49,7 @@ class PointNavEnv(PhasedEnv):
         goal: ``map``: the goal's (x, y) in the map; ``sensed``: its distance and bearing from the pose that the robot
             senses (:mod:`vssm_gym.envs.conventions.relative_goal`); ``true``: from the true pose.
         reward: ``dense`` (metres gained along free space, a cost a step, a success reward) or ``sparse`` (success).
-        simulation: ``noise``, ``sensor_noise``, ``camera`` and the other keywords of
+        simulation: all further keywords: ``noise``, ``sensor_noise``, ``camera`` and the others of
             :class:`~vssm_gym.envs.simulation.Simulation`.
     """
 

@@ -1,20 +1,33 @@
 """Implement ``gym.make("vssm_gym/WorldModelNav-v0", map="oak.npz")``: a vector environment of one imagined robot."""
 
-from typing import Any
+import inspect
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 
+from vssm_gym.envs.phased import signature_of
 from vssm_gym.envs.rendering.frames import Frames
 from vssm_gym.envs.validation import check_options
-from vssm_gym.envs.world_model.config import SOURCE
+from vssm_gym.envs.world_model.config import SOURCE, Imagination
 from vssm_gym.envs.world_model.vector import WorldModelVectorEnv
 from vssm_gym.errors import InputError
 
 
 class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
-    """Imagine one robot; keywords are those of :class:`~vssm_gym.envs.world_model.vector.WorldModelVectorEnv`."""
+    """Imagine one robot in the belief of a learned map.
 
+    Registered as ``vssm_gym/WorldModelNav-v0``, truncated after 500 steps.
+
+    Args:
+        map: a map file's path, ``oak``, which comes with the package, or a :class:`~vssm_gym.maps.voxel_map.VoxelMap`.
+        render_mode: ``rgb_array``, ``human`` (a window) or None.
+        captions: if True, a strip of text lies below each picture; a window always shows it.
+        keywords: all further keywords: those of :class:`~vssm_gym.envs.world_model.config.Imagination`.
+    """
+
+    passes_to = Imagination
+    __signature__: ClassVar[inspect.Signature]
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 5}  # noqa: RUF012  (Gymnasium's own declaration)
 
     def __init__(
@@ -78,6 +91,9 @@ class WorldModelNavEnv(gym.Env[dict[str, Any], np.ndarray]):
         except SystemExit:  # the user has closed the window
             self.close()
             raise
+
+
+WorldModelNavEnv.__signature__ = signature_of(WorldModelNavEnv)
 
 
 def _first(observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
