@@ -7,7 +7,7 @@ The robots are imagined in the learned map ``oak`` that comes with the package; 
 exported. The file is an agent of every sweep of PointNav.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import gymnasium as gym
@@ -20,7 +20,9 @@ from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import features
 from vssm_gym.training.sb3 import SB3VecEnv, export_sb3
 
-STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 2_000_000  # of all robots together
+parser = argparse.ArgumentParser(description="Train a policy in the learned map oak, export it, and read it back.")
+parser.add_argument("steps", nargs="?", type=int, default=2_000_000, help="of all robots together, 2000000 by default")
+STEPS = parser.parse_args().steps
 
 worlds = gym.make_vec("vssm_gym/WorldModelNav-v0", map="oak", num_envs=64, noise=("low", "mid"), end_on="reach")
 env = VecNormalize(VecMonitor(SB3VecEnv(worlds)), norm_reward=False)

@@ -5,7 +5,7 @@
 Without a folder a walk is recorded in the simulator first. ``vssm-gym slam FOLDER`` does the same, with a report.
 """
 
-import sys
+import argparse
 import tempfile
 from pathlib import Path
 
@@ -17,8 +17,11 @@ import vssm_gym as vg
 from vssm_gym.data.recording import record_handheld
 from vssm_gym.data.sequences import FrameReader
 
-folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp()) / "walk"
-if len(sys.argv) < 2:
+parser = argparse.ArgumentParser(description="Estimate a camera's trajectory and the map, image by image.")
+parser.add_argument("folder", nargs="?", type=Path, help="of TUM's layout; without it a walk is recorded first")
+folder = parser.parse_args().folder
+if folder is None:
+    folder = Path(tempfile.mkdtemp()) / "walk"
     record_handheld("oak", folder, metres=1.0, seed=0)
 
 sequence = vg.load_sequence(folder)

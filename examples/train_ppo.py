@@ -6,7 +6,7 @@
 ``PointNavGPS-v0`` is PointNav with the conventions that policies need: see docs/envs/pointnav.md.
 """
 
-import sys
+import argparse
 import time
 
 import gymnasium as gym
@@ -18,7 +18,9 @@ from stable_baselines3.common.vec_env import VecMonitor
 import vssm_gym  # noqa: F401  (registers the environments)
 from vssm_gym.training.sb3 import SB3VecEnv
 
-MINUTES = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
+parser = argparse.ArgumentParser(description="Train a policy from depth images with PPO, in the simulator.")
+parser.add_argument("minutes", nargs="?", type=float, default=10.0, help="10 by default")
+MINUTES = parser.parse_args().minutes
 ROBOTS, STEPS = 16, 500  # robots at once, and the longest episode
 ENOUGH = 100  # episodes that a mean is taken over
 
