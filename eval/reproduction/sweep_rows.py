@@ -103,7 +103,7 @@ def _config(
     }
     config = SweepConfig.model_validate({name: value for name, value in given.items() if value is not None})
     check_environments(config, folder / MANIFEST)
-    check_names(config, folder / MANIFEST)
+    check_names(config, folder / MANIFEST, {"scenes": "scenes, whose files --scenes names"})
     return config
 
 
@@ -130,14 +130,7 @@ def _hashes(folder: Path, manifest: Mapping[str, Any], config: SweepConfig) -> d
     """Return the content hash of each scene of the configuration; raise where it is not that of the sweep."""
     hashes = {}
     for scene in config.scenes:
-        name = scene_name(scene)
-        try:
-            content = protocol_of(config.env[0]).load(scene).content_hash()
-        except InputError as error:
-            if scene != name:  # a file, or a seed
-                raise
-            expected = f"built-in scenes, or files that --scenes names; {name!r:.80} is neither"
-            raise InputError(folder / MANIFEST, "config.scenes", expected) from error
+        name, content = scene_name(scene), protocol_of(config.env[0]).load(scene).content_hash()
         before = manifest.get("scene_hashes", {}).get(name)
         if before not in (None, content):
             raise InputError(folder / MANIFEST, f"scene_hashes.{name}", f"{content}, as the scene has; found {before}")

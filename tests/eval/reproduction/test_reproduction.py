@@ -101,6 +101,20 @@ def test_a_scene_that_has_changed_is_refused(sweep, tmp_path):
         reproduce(copy, tmp_path / "again", workers=1)
 
 
+def test_the_option_that_names_a_scene_of_a_file_is_said(tmp_path):
+    with pytest.raises(InputError, match=r"scenes, whose files --scenes names: expected a built-in scene .*'house_0'"):
+        reproduce(CHECKOUT / "eval" / "baselines" / "procthor", tmp_path / "again", episodes=1, workers=1)
+
+
+def test_rows_are_never_written_beside_others_and_a_missing_folder_is_named(sweep, tmp_path):
+    with pytest.raises(
+        InputError, match=r"a folder without rows, which are never overwritten; it holds episodes\.jsonl"
+    ):
+        reproduce(sweep, sweep, workers=1)
+    with pytest.raises(InputError, match="a folder with the rows of a sweep or a study; there is none"):
+        reproduce(tmp_path / "nothing", tmp_path / "other")
+
+
 # policies
 
 BASELINES = CHECKOUT / "eval" / "baselines"
