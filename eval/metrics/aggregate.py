@@ -54,7 +54,8 @@ def bootstrap_mean(
         tasks: the task of each episode; those of one task are resampled together.
         seed: of the resampling; equal seeds give equal intervals.
         runs: the training run of each episode; None: one for all.
-        within: the range of the values, where it is known, for an interval over few tasks that is wide enough.
+        within: the range of the values, where it is known, for an interval that is wide enough over few tasks, and
+            where all tasks scored one end of it.
 
     Returns:
         The :class:`Interval`; its mean is NaN when ``values`` is empty.

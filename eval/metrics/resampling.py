@@ -15,6 +15,9 @@ three times (Owen), which errs on the safe side. A resample that draws no task w
 With few tasks the same holds of them. Where the range of the scores is known and T < 15, deviations of the resamples
 are enlarged by sqrt(T / (T - 1)), which makes their variance unbiased, and Student's quantile counts the tasks' part of
 the variance with its T - 1. The ends then lie within the range, not within the scores that happened to be found.
+
+If all T tasks scored one end of that range, resamples do not differ. Any other score has at most the probability q,
+(1 - q)^T = 0.025, so the interval reaches from that end over the part q of the range: as far as Clopper and Pearson's.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -121,7 +124,7 @@ def bootstrap(
         seed: of the resampling; equal seeds give equal intervals.
         minus: the scores of another method on the same tasks, with equal indices: each task is drawn for both, and
             each method's runs apart.
-        within: the least and the largest value that the statistic can have, for few tasks; None: not known.
+        within: the least and the largest value that a score, and so the statistic, can have; None: not known.
     """
     groups = [of] if minus is None else [of, minus]
     signs = (1.0, -1.0)[: len(groups)]
@@ -145,6 +148,10 @@ def bootstrap(
     low, high = np.quantile(drawn, _ENDS, axis=0)
     stretch = _stretch(variance, between)
     low, high = (np.clip(end + (stretch - 1.0) * (end - value), least, most) for end in (low, high))
+    if within is not None and minus is None and np.isfinite(within).all():
+        unseen = (1.0 - _ENDS[0] ** (1.0 / of.tasks)) * (within[1] - within[0])
+        low = np.where((of.values == within[1]).all(axis=0), within[1] - unseen, low)
+        high = np.where((of.values == within[0]).all(axis=0), within[0] + unseen, high)
     return Bounds(value, low, high)
 
 

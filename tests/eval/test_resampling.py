@@ -8,6 +8,7 @@ from scipy import stats
 
 from vssm_gym.eval.metrics import aggregate, resampling
 from vssm_gym.eval.metrics.aggregate import bootstrap_mean
+from vssm_gym.eval.metrics.proportions import clopper_pearson
 from vssm_gym.eval.metrics.training_runs import RUN, by_method, run_of, training_name
 
 TRIALS = 200
@@ -249,3 +250,17 @@ def test_runs_that_lack_tasks_have_an_interval():
     assert found.low[0] < found.value[0] < found.high[0]
     middle = resampling.bootstrap(resampling.interquartile_mean, resampling.scores(rng.random(41), tasks, runs))
     assert np.isfinite([middle.low, middle.high]).all()
+
+
+@pytest.mark.parametrize("tasks", [2, 4, 16, 40])
+@pytest.mark.parametrize(("least", "most"), [(0.0, 1.0), (-2.0, 1.0)])
+def test_equal_extreme_scores_have_clopper_and_pearsons_interval(tasks, least, most):
+    width = most - least
+    for end, wins in ((least, 0), (most, tasks)):
+        found = aggregate.bootstrap_mean([end] * tasks, range(tasks), within=(least, most))
+        low, high = clopper_pearson(wins, tasks)
+        assert (found.low, found.high) == pytest.approx((least + width * low, least + width * high), abs=1e-12)
+        twice = aggregate.bootstrap_mean([end] * 2 * tasks, [*range(tasks)] * 2, within=(least, most))
+        assert (twice.low, twice.high) == (found.low, found.high)  # episodes of a task count once
+    middle = aggregate.bootstrap_mean([0.5] * tasks, range(tasks), within=(least, most))
+    assert (middle.low, middle.high) == (0.5, 0.5)
