@@ -18,6 +18,8 @@ from vssm_gym.envs.scenes.scene import built_in_scenes
 from vssm_gym.envs.sensors import gps_compass, imu, lidar, rgbd_noise
 from vssm_gym.envs.sensors.registry import SENSORS
 from vssm_gym.envs.textures.registry import TEXTURES
+from vssm_gym.eval.benchmark import results
+from vssm_gym.eval.benchmark.suite import SUITES, read_suite
 from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.planning.planners import PLANNERS
@@ -200,3 +202,23 @@ def test_common_questions_are_answered_where_they_point():
         [said] = [text for words, text in ANSWERS.items() if words in question]
         target = re.findall(r"\]\(([^)]+)\)", answer)[0]
         assert said in linked(index, target), f"{question} {target}"
+
+
+def test_the_page_of_the_benchmark_shows_the_references():
+    """Scores, successes and contacts in its table are those of the committed rows, best first."""
+    suite = read_suite(SUITES / "small-v1.yaml")
+    first, *others = sorted(results.REFERENCES.glob("small-v1*"))
+    manifests = {folder: results.read_manifest(folder) for folder in others}
+    expected = [
+        [f"`{table.name}`", f"`{place.line.entry}`", place.line.score.text(table.score.digits), *_outcomes(place.line)]
+        for table in results.tables(suite, first, manifests)
+        for place in table.places
+    ]
+    shown = list(rows(section(DOCS / "benchmark.md", "References")))[1:]
+    assert [cells[:5] for cells in shown] == expected
+
+
+def _outcomes(line):
+    """Return the cells of success and contacts."""
+    contacts = "-" if line.collisions is None else f"{line.collisions:.2f}"
+    return [f"{100.0 * line.success:.0f} %", contacts]

@@ -1,8 +1,8 @@
 """Write the results page from ``eval/baselines``: what its README says of each folder, and figures of its rows.
 
 A sweep gives the headline metrics of its report, with 95 % intervals, for each agent and condition: the mean, and of a
-score the interquartile mean too. Policies of one training are one line, over tasks and training seeds. A study gives
-the means that it has stored with an interval.
+score the interquartile mean too. Policies of one training are one line, over tasks and training seeds. A run of the
+benchmark gives the scores of its entries in each track. A study gives the means that it has stored with an interval.
 """
 
 import json
@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from vssm_gym.eval.benchmark import results as benchmark_results
+from vssm_gym.eval.benchmark.suite import read_suite, suite_file
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
 from vssm_gym.eval.metrics.registry import measured
@@ -34,7 +36,7 @@ def described() -> Iterator[tuple[list[str], str, str]]:
     for line in (BASELINES / "README.md").read_text().splitlines():
         if line.startswith("| `"):
             names, commit, text = (cell.strip() for cell in line.strip("|").split(" | ", 2))
-            first, *others = re.findall(r"`([\w/.]+)`", names)
+            first, *others = re.findall(r"`([\w/.-]+)`", names)
             folder = first.rpartition("/")[0]
             yield [first, *(f"{folder}/{other}" if folder else other for other in others)], commit, text
 
@@ -50,6 +52,8 @@ def figures(path: Path) -> str:
     """Return the tables of one folder or file; nothing where no figure has an interval."""
     if (path / FILE).is_file():
         return sweep(path)
+    if (path / benchmark_results.MANIFEST).is_file():
+        return benchmark(path)
     files = [path] if path.is_file() else sorted(path.glob("*.json"))
     found = [(name, text) for file in files for name, text in intervals(json.loads(file.read_text()))]
     found = list(dict.fromkeys(found))[:LISTED]
@@ -63,6 +67,17 @@ def sweep(folder: Path) -> str:
     by = [*tables.pooled(rows), "agent"]
     found = tables.results(rows, 0, view.measures, view.measures.headline, by)
     return table(list(found.header), found.lines)
+
+
+def benchmark(folder: Path) -> str:
+    """Return the scores of the entries of a run of the benchmark, one line a track and entry."""
+    suite = read_suite(suite_file(benchmark_results.read_manifest(folder).suite))
+    lines = [
+        [found.name, f"`{place.line.entry}`", found.score.label, place.line.score.text(found.score.digits)]
+        for found in benchmark_results.tables(suite, folder, {})
+        for place in found.places
+    ]
+    return table(["track", "entry", "score", "mean [95 % interval]"], lines)
 
 
 def intervals(found: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, str]]:
