@@ -161,7 +161,8 @@ FOLDERS = {
         ["video"],
         ["studies", "faults"],
         ["bench", ""],
-        ["benchmark", "reproduction"],
+        ["benchmark"],
+        ["reproduction"],
     ],
 }
 EXCEPTIONS = {("envs.scenes.importers.mjcf", "envs.physics")}  # MuJoCo is imported in one place: its reader uses it

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vssm_gym.errors import InputError
+from vssm_gym.eval.benchmark.results import MANIFEST as RUN_OF_BENCHMARK
 from vssm_gym.eval.episodes.log import FILE
 from vssm_gym.eval.reproduction.comparison import Reproduced
 from vssm_gym.eval.reproduction.studies import STUDIES
@@ -25,7 +26,7 @@ def reproduce(
     """Run at most so many rows of a folder again, spread evenly over it, and compare their outcomes.
 
     Args:
-        folder: of a sweep, or of a study of :data:`STUDIES`.
+        folder: of a sweep, of a study of :data:`STUDIES`, or of a track of the benchmark.
         out: folder without rows, which gets the rows as they are now.
         most: rows at most.
         tolerance: of numbers, absolute below 1 and relative above.
@@ -46,5 +47,8 @@ def reproduce(
     for kind in STUDIES:
         if kind.rows(folder):
             return reproduce_study(kind, folder, out, most, tolerance, on_progress)
+    if (folder / RUN_OF_BENCHMARK).is_file():
+        tracks = ", ".join(sorted(path.name for path in folder.iterdir() if path.is_dir()))
+        raise InputError(folder, "folder", f"the folder of one track of this run of the benchmark: {tracks}")
     known = ", ".join(dict.fromkeys([FILE, *(kind.file for kind in STUDIES)]))
     raise InputError(folder, "folder", f"a sweep or a study whose rows can be run again ({known})")

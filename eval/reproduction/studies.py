@@ -1,5 +1,5 @@
-"""List the studies whose rows can be run again: how each runs one; those of tables are in :mod:`study_tables`, and
-those of predictions in :mod:`prediction_rows`.
+"""List the studies whose rows can be run again: how each runs one; those of tables are in :mod:`study_tables`,
+those of predictions in :mod:`prediction_rows` and those of the benchmark in :mod:`benchmark_rows`.
 
 A row takes less than a second (odometry), 15 to 60 s (SLAM in a maze), 5 to 40 s (an explorer), or a minute (a pose
 graph). Each returns the figures that the study stores.
@@ -13,6 +13,7 @@ import jax
 from vssm_gym.data.traversals import errors, traverse
 from vssm_gym.envs.tasks.mazes import MAZES, load_maze
 from vssm_gym.errors import InputError, one_of
+from vssm_gym.eval.reproduction.benchmark_rows import BENCHMARK
 from vssm_gym.eval.reproduction.prediction_rows import PREDICTION
 from vssm_gym.eval.reproduction.study_rows import StudyRows
 from vssm_gym.eval.reproduction.study_tables import TABLES
@@ -99,5 +100,6 @@ STUDIES = (
     StudyRows("slam2d by a pose graph", SLAM2D_ROWS, ("log", "seed", "cell", "noise", "sensor_noise"), _graph, CLOCK),
     *TABLES,
     PREDICTION,
+    BENCHMARK,
 )
 """The kinds of studies, each by the file and the fields of its rows."""

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.helpers.box_rooms import two_rooms
 from tests.helpers.paths import CHECKOUT
 from tests.helpers.straight_policy import straight
+from tests.helpers.sweeps.benchmark_suites import write_suite
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.cli.sweeps.reproduce import reproduce
 from vssm_gym.envs.scenes.scene import save_scene
@@ -18,9 +19,11 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.prediction.measure import measure
 from vssm_gym.eval.bench.prediction.models import models
 from vssm_gym.eval.bench.prediction.run import HORIZONS
+from vssm_gym.eval.benchmark.run import run_benchmark
+from vssm_gym.eval.benchmark.units import ROWS
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.metrics.training_runs import training_name
-from vssm_gym.eval.reproduction import prediction_rows
+from vssm_gym.eval.reproduction import benchmark_rows, prediction_rows
 from vssm_gym.eval.reproduction.comparison import NOT_OUTCOMES, first_difference, spread_evenly
 from vssm_gym.eval.reproduction.studies import STUDIES
 from vssm_gym.eval.reproduction.sweep_rows import POLICY_FOLDER, policies_of
@@ -226,6 +229,45 @@ def test_predictions_are_made_again_and_an_altered_score_is_named(tmp_path, caps
         reproduce(study, tmp_path / "without")
 
 
+@pytest.mark.parametrize("track", ["slam", "prediction"])
+def test_committed_rows_of_the_benchmark_can_be_run_again(track):
+    folder = BASELINES / "benchmark" / "small-v1" / track
+    (kind,) = [kind for kind in STUDIES if kind.rows(folder)]
+    assert kind.name == "benchmark"
+    assert {(row["suite"], row["track"]) for row in kind.rows(folder)} == {("small-v1", track)}
+
+
+WALK = """name: walk
+tracks:
+  slam:
+    kind: slam
+    about: Follow a camera.
+    seconds: 20
+    recordings:
+      - {scene: rooms.json, motion: handheld, length: 1}
+"""
+
+
+@pytest.mark.slow
+def test_rows_of_the_benchmark_are_run_again_and_an_altered_score_is_named(tmp_path, capsys, monkeypatch):
+    suite, out = write_suite(tmp_path, WALK), tmp_path / "out"
+    monkeypatch.setattr(benchmark_rows, "suite_file", lambda name: {"walk": suite}[name])
+    run_benchmark(suite, ["standing_still"], out)
+    reproduce(out / "slam", tmp_path / "again")
+    assert "1 of 1 rows have the same outcome" in capsys.readouterr().out
+    rows = out / "slam" / ROWS
+    (row,) = map(json.loads, rows.read_text().splitlines())
+    rows.write_text(json.dumps(row | {"score": row["score"] + 0.01}) + "\n")
+    with pytest.raises(SystemExit):
+        reproduce(out / "slam", tmp_path / "altered")
+    assert (
+        f"suite walk, track slam, entry standing_still, unit {row['unit']}: score: expected" in capsys.readouterr().out
+    )
+    rows.write_text(json.dumps(row | {"unit": "another"}) + "\n")
+    with pytest.raises(InputError, match="unit: expected one of rooms-handheld"):
+        reproduce(out / "slam", tmp_path / "refused")
+
+
 CALIBRATED = calibration.Setting(runs=1)
 
 
@@ -291,6 +333,8 @@ def test_a_folder_of_neither_is_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"expected a sweep or a study whose rows can be run again \(episodes\.jsonl"):
         reproduce(tmp_path / "empty", tmp_path / "out")
+    with pytest.raises(InputError, match="the folder of one track of this run of the benchmark: car, exploration"):
+        reproduce(BASELINES / "benchmark" / "small-v1", tmp_path / "out")
 
 
 @given(st.integers(1, 60), st.integers(1, 60))

@@ -26,7 +26,8 @@ def reproduce(
     Policies NAME@HASH of a sweep are looked for in FOLDER/policies.
 
     Args:
-        folder: of the sweep, such as eval/baselines/navigation_levels, or of a study, such as eval/baselines/maze_slam.
+        folder: of the sweep, such as eval/baselines/navigation_levels, of a study, such as eval/baselines/maze_slam,
+            or of a track of the benchmark, such as eval/baselines/benchmark/small-v1/slam.
         out: new or empty folder, or one in which an interrupted run has left no rows.
         episodes: rows to run.
         tolerance: of numbers, absolute below 1 and relative above.
