@@ -9,6 +9,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 WORKERS ?= 2
 OUT ?= out/demo
+PART ?=
 RECORDINGS ?=
 
 # The first interpreter that really runs (version managers leave shims that do not), is in range and can make a venv.
@@ -20,7 +21,7 @@ PYTHON ?=
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
 	@echo "make test       the test suite without the slow tests (WORKERS=$(WORKERS) processes)"
-	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims"
+	@echo "make test-slow  the slow tests: sweeps, long tracks, statistical claims; PART=1/3: a third of the files"
 	@echo "make coverage   make test, and the share of lines that it runs; fails below the floor in pyproject.toml"
 	@echo "make additions  take out a sensor, a metric, a planner, a robot in turn: the rest must pass"
 	@echo "make faults     faulty images for SLAM and agents; RECORDINGS=DIR adds TUM folders to the simulated walks"
@@ -62,7 +63,7 @@ test: $(STAMP)
 	$(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile  # a file's fixtures and compilations: once
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -m slow -n $(WORKERS)
+	$(BIN)/python -m pytest -m slow -n $(WORKERS) $(if $(PART),--part $(PART))
 
 # Python 3.12 and later report lines at next to no cost; before, a tracer in C follows every call.
 coverage: $(STAMP)

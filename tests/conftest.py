@@ -5,9 +5,12 @@ The order matters: libraries read the thread counts when they load, and only wha
 """
 
 import os
+import re
 import sys
+from argparse import ArgumentTypeError
 from collections.abc import Iterator
 from pathlib import Path
+from zlib import crc32
 
 # Under xdist each worker gets its share of the cores instead of all of them. Kept to them, XLA starts no more threads:
 # two workers with a thread for every core each wait for one another at every small operation.
@@ -54,6 +57,28 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("vssm_gym")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add ``--part K/N``."""
+    parser.addoption("--part", type=part_of_all, help="K/N: run the test files of the Kth of N parts alone")
+
+
+def part_of_all(text: str) -> tuple[int, int]:
+    """Return K and N of ``K/N``; argparse's error where it is none."""
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found or not 1 <= int(found[1]) <= int(found[2]):
+        raise ArgumentTypeError(f"expected K/N with 1 <= K <= N; found {text!r}")
+    return int(found[1]), int(found[2])
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the files of the part that was asked for, which are the same ones in every run and on every machine."""
+    if not (part := config.option.part):
+        return
+    chosen = lambda item: crc32(item.nodeid.split("::")[0].encode()) % part[1] == part[0] - 1
+    config.hook.pytest_deselected(items=[item for item in items if not chosen(item)])
+    items[:] = filter(chosen, items)
 
 
 def pytest_configure(config: pytest.Config) -> None:
