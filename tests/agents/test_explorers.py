@@ -104,7 +104,7 @@ def test_explorers_cover_both_rooms_and_stop(name, world):
 def test_same_seed_same_actions(name, world):
     """Actions repeat between two objects, and after an episode that ran before."""
     agent = AGENTS[name]()
-    runs = [explore(a, world, 50, seed=3)[0] for a in (agent, AGENTS[name](), agent)]
+    runs = [explore(a, world, 25, seed=3)[0] for a in (agent, AGENTS[name](), agent)]
     actions = [np.array([decision.action for decision in run]) for run in runs]
     assert np.array_equal(actions[0], actions[1])
     assert np.array_equal(actions[0], actions[2])

@@ -41,7 +41,9 @@ def drive(m: VoxelMap, start: np.ndarray, taken: np.ndarray, agent=None, steps: 
     return decisions, planar
 
 
-@pytest.mark.parametrize("taken", [(4.3, 0.6, 2.5), (0.8, 2.2, -0.8), (3.0, 2.0, -2.4)])
+@pytest.mark.parametrize(
+    "taken", [pytest.param((4.3, 0.6, 2.5), marks=pytest.mark.slow), (0.8, 2.2, -0.8), (3.0, 2.0, -2.4)]
+)
 def test_the_robot_drives_to_where_the_image_was_taken(taken, learned):
     decisions, planar = drive(learned, np.array([1.0, 1.0, 1.0]), np.array(taken))
     assert decisions[-1].status.startswith("arrived")
@@ -68,6 +70,7 @@ def test_an_image_of_another_room_is_not_arrived_at(learned):
     assert decisions[-1].status.startswith(NOWHERE_IN_MAP)
 
 
+@pytest.mark.slow
 def test_places_out_of_reach_are_given_up_for_the_next_one():
     """Two equal rooms without a door between them: whichever is likelier, the robot stops in its own."""
     m = twin_rooms(differ=False)
@@ -79,10 +82,8 @@ def test_places_out_of_reach_are_given_up_for_the_next_one():
         assert np.hypot(*(planar[:2] - (taken + here)[:2])) <= NEAR
 
 
-@pytest.mark.parametrize(
-    "taken",
-    [(4.4, 1.2, 2.9), *(pytest.param(t, marks=pytest.mark.slow) for t in ((0.8, 2.2, -0.8), (3.0, 2.0, -2.4)))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("taken", [(4.4, 1.2, 2.9), (0.8, 2.2, -0.8), (3.0, 2.0, -2.4)])
 def test_the_place_of_an_image_is_found_in_an_apartment_that_nobody_has_mapped(taken, learned):
     agent = SlamImageAgent()
     decisions, planar = drive(learned, np.array([1.0, 1.0, 1.0]), np.array(taken), agent, steps=500)

@@ -93,6 +93,7 @@ def test_a_robot_that_is_carried_off_finds_itself_in_all_of_the_map(learned):
     assert errors[-1] < 0.1
 
 
+@pytest.mark.slow
 def test_a_start_pose_that_is_wrong_is_corrected(learned):
     """The robot is told that it starts in the other room."""
     agent, planar, rng = AGENTS["astar"](), START, np.random.default_rng(0)

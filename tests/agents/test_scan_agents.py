@@ -130,6 +130,7 @@ def test_the_true_pose_changes_nothing(navigator):
         assert decision.plan is None or np.allclose(decision.plan[-1], observation["goal"])
 
 
+@pytest.mark.slow
 def test_an_unreachable_goal_is_given_up(navigator):
     env = LidarMazeEnv(MAZE.apartment, tasks=MAZE.tasks)
     observation, info = env.reset(seed=0)

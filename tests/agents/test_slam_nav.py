@@ -36,6 +36,7 @@ def at_true_pose(unknown: float) -> Driven:
     return Driven(Navigator(GrowingMap(MapAtObservedPose(), TraversabilityConfig(unknown=unknown)), CONFIG))
 
 
+@pytest.mark.slow
 def test_a_robot_arrives_in_an_apartment_that_nobody_has_mapped(learned):
     agent = SlamNavAgent()
     ended = drive(agent, None, START, GOAL, seen=learned)

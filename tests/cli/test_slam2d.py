@@ -63,6 +63,7 @@ def test_cells_that_are_too_coarse_are_said(tmp_path, capsys):
     assert (tmp_path / "out" / "study.json").stat().st_mtime_ns == before  # a refused run writes nothing
 
 
+@pytest.mark.slow
 def test_a_latent_grid_beside_it(tmp_path):
     """A part of a drive, on line and in one more pass; the charts are drawn beside the occupancy."""
     slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1, scans="0:90", latent=True, passes=1)
@@ -72,6 +73,7 @@ def test_a_latent_grid_beside_it(tmp_path):
     assert len(found["latent grid"]["log_evidence"]) == 2
 
 
+@pytest.mark.slow
 def test_a_camera_in_the_place_of_the_scanner(tmp_path, capsys):
     slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1, sensor="camera", scans="10:110", passes=1)
     poses = np.loadtxt(tmp_path / "out" / "trajectory.txt")

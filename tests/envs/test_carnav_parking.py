@@ -160,6 +160,7 @@ def test_episodes_ask_for_bays():
     assert len(CarTaskSampler.of(load_scene("garage"), CAR).bays) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", JUDGED)
 def test_an_oracle_that_knows_the_scene_reaches_every_target_of_the_tier(scene):
     apartment = load_scene(scene)
@@ -169,6 +170,7 @@ def test_an_oracle_that_knows_the_scene_reaches_every_target_of_the_tier(scene):
     assert [task.id for task in tasks if not within_reach(grid, task)] == []
 
 
+@pytest.mark.slow
 def test_the_oracle_refuses_what_does_not_fit():
     """With 8 cm around the footprint no bay between kerbs is wide enough, and the yard is."""
     apartment = load_scene("procedural:0:parking-moved")

@@ -53,6 +53,7 @@ def test_warm_started_values_equal_cold_ones(plans):
     np.testing.assert_allclose(ours, theirs, atol=5.0 * TOLERANCE)
 
 
+@pytest.mark.slow
 def test_growth_compiles_nothing():
     critic_after(*GROWTHS[0])
     compiled = sweeps.iterate._cache_size()
@@ -203,6 +204,7 @@ def test_what_it_dares_keeps_its_price():
     assert critic.clearance().at(np.array([0.98, 0.6])) > 0.0 and back == CONFIG.unknown[1]
 
 
+@pytest.mark.slow
 def test_where_it_does_not_get_on_unseen_space_becomes_cheaper_until_it_has_driven_there():
     critic, price = in_a_corner(), CONFIG.unknown[1]
     there, back = np.array([[0.95, 0.6, 0.0]]), np.array([-1.0])

@@ -249,6 +249,7 @@ def test_nothing_recompiles():
     assert [program._cache_size() for program in env._batch.programs] == compiled
 
 
+@pytest.mark.slow
 def test_maps_and_noise_are_drawn_for_each_episode():
     env = make_vec(16, noise=("none", "high"), map_samples=3)
     env.reset(seed=0)

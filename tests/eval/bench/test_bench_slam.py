@@ -36,6 +36,7 @@ def no_open3d(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *filter(None, sys.path)]))
 
 
+@pytest.mark.slow
 def test_without_open3d_ours_is_reported_with_the_reason(sequence, no_open3d):
     heard = []
     result = bench_slam.compare(sequence, trials=2, on_progress=lambda *event: heard.append(event))

@@ -20,6 +20,7 @@ def few_worlds(monkeypatch):
     monkeypatch.setattr(module, "GROWTH", GROWTH)
 
 
+@pytest.mark.slow
 def test_the_environments_pass():
     result = soak(steps=STEPS)
     assert len(result["rows"]) == 3 * APARTMENTS + 4 + bool(find_spec("pybullet"))

@@ -34,6 +34,7 @@ def found(learned) -> PictureSearch:
     return searched(learned, observe(TAKEN, TAKEN[:2], learned)["rgb"])
 
 
+@pytest.mark.slow
 def test_the_pose_of_a_picture_is_the_likeliest_match(found):
     best = found.matches.all[0]
     assert best.is_near(TAKEN, 0.1, 0.1)
