@@ -108,8 +108,12 @@ def written(path: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("path", [*CONFIGS.glob("ppo_*.yaml"), *CONFIGS.glob("bc_*.yaml")], ids=lambda path: path.stem)
-def test_the_committed_configurations_are_valid(path):
-    imagined = "WorldModelNav" in path.read_text()
+def test_the_committed_configurations_are_valid(path, tmp_path):
+    text = path.read_text()
+    imagined = "WorldModelNav" in text
+    if "transition:" in text:  # what `train-dynamics` makes lies where the comments write it
+        (tmp_path / "worn.npz").touch()
+        path = written(tmp_path, text.replace("../../out/rl/", "")).rename(tmp_path / path.name)
     found = load_training(path, map_file=Path("oak.npz") if imagined else None, seed=3)
     assert found.seed == 3 and found.policy.hidden == (128, 128)
     assert found.minutes == {"ppo_oak_few": None, "ppo_pointnav": 10.0, "ppo_reactive": 10.0}.get(path.stem, 12.0)
@@ -126,6 +130,19 @@ def test_compared_trainings_differ_in_the_compared_setting_only():
         assert simulated["environment"][name] == few["environment"][name]
     assert simulated["algorithm"] == few["algorithm"]
     assert ppo["policy"] == cloned["policy"] == simulated["policy"] == few["policy"]
+
+
+def test_what_the_worn_robots_policies_are_trained_in_differs_in_the_motion_only():
+    stored = [yaml.safe_load((CONFIGS / f"ppo_{motion}_motion.yaml").read_text()) for motion in ("learned", "nominal")]
+    assert [one["environment"].pop("transition", None) for one in stored] == ["../../out/rl/worn.npz", None]
+    assert [one["environment"].pop("noise", None) for one in stored] == [None, "none"]
+    assert [one.pop("name") for one in stored] == ["learned-motion", "nominal-motion"]
+    assert stored[0] == stored[1]
+    agents = yaml.safe_load((CONFIGS / "rl_worn.yaml").read_text())["agents"]
+    made = {
+        f"policy:../../out/rl/{motion}-motion-{s}/policy.npz" for motion in ("learned", "nominal") for s in range(3)
+    }
+    assert agents[0] == "astar" and set(agents[1:]) == made
 
 
 def test_the_comparison_names_the_files_of_the_trainings():
