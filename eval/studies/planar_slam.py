@@ -161,8 +161,9 @@ def _picture(log: LaserLog, found: PlanarRun, latent: LatentRun | None, estimate
     axes, m = panels[0], found.m
     occupied = np.where(m.observed, np.where(np.asarray(m.occupancy) > 0.0, 1.0, 0.15), 0.5)
     low, cell = np.asarray(m.origin), float(m.cell_size)
-    high = low + cell * (np.array(occupied.shape) - 1)
-    axes.imshow(occupied.T, origin="lower", extent=(low[0], high[0], low[1], high[1]), cmap="Greys", vmin=0.0, vmax=1.0)
+    left, bottom = low - 0.5 * cell  # cells are centred
+    right, top = low + cell * (np.array(occupied.shape) - 0.5)
+    axes.imshow(occupied.T, origin="lower", extent=(left, right, bottom, top), cmap="Greys", vmin=0.0, vmax=1.0)
     axes.plot(*estimates[INTEGRATED][:, :2].T, color="tab:orange", lw=0.8, label=INTEGRATED)
     if log.poses is not None:
         axes.plot(*relation(log.poses[:1], log.poses)[:, :2].T, color="tab:green", lw=1.6, label="the log's own poses")

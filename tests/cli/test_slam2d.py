@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+import yaml
+from PIL import Image
 
 from vssm_gym.cli.slam2d import slam2d
 from vssm_gym.data.laser_logs import write_laser_log
@@ -17,8 +19,13 @@ STEPS = 120
 def test_a_maze_from_end_to_end(tmp_path, capsys):
     slam2d("pillars-v1", tmp_path / "out", steps=STEPS, seed=1)
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"trajectory.txt", "slam2d.json", "slam2d.svg", "slam2d.html"} <= names
+    assert {"trajectory.txt", "map.yaml", "map.pgm", "slam2d.json", "slam2d.svg", "slam2d.html"} <= names
     poses = np.loadtxt(tmp_path / "out" / "trajectory.txt")
+    about = yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())
+    image = np.asarray(Image.open(tmp_path / "out" / about["image"]))
+    column, row = ((poses[:, :2] - about["origin"][:2]) / about["resolution"]).astype(int).T
+    assert (image[image.shape[0] - 1 - row, column] == 254).all()  # where the robot was is free
+    assert 0.05 < (image == 0).mean() < 0.5
     off = errors(traverse(load_maze("pillars-v1"), STEPS, 1), poses)
     figures = json.loads((tmp_path / "out" / "slam2d.json").read_text())["figures"]
     assert figures["PRISM in the plane"]["end"] == pytest.approx(off[-1], abs=1e-5)

@@ -5,6 +5,7 @@ import struct
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
@@ -15,7 +16,8 @@ from PIL import Image
 from tests.helpers.planning_worlds import VOXEL, voxel_map
 from vssm_gym.cli import main as main_module
 from vssm_gym.errors import InputError
-from vssm_gym.maps.voxel_map import VoxelMap
+from vssm_gym.maps.planar_map import PlanarMap
+from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, write_ros_map
 from vssm_gym.viz.glb import linear, write_glb
 from vssm_gym.viz.mesh import Mesh, surface_mesh
@@ -85,6 +87,27 @@ def test_a_conservative_plan_grows_with_its_cells(learned):
     i = np.floor((x - coarse.origin[0]) / coarse.resolution).astype(int).clip(0, coarse.cells.shape[0] - 1)
     j = np.floor((y - coarse.origin[1]) / coarse.resolution).astype(int).clip(0, coarse.cells.shape[1] - 1)
     assert (coarse.cells[np.ix_(i, j)][fine.cells == OCCUPIED] == OCCUPIED).mean() > 0.99
+
+
+def test_a_map_of_the_plane_reads_back_where_it_is(tmp_path):
+    """Each cell is centred where the map has its corner of the grid; what was never observed around it is cut off."""
+    prior = PlanarMap.prior(np.array([-1.3, 2.4]), np.array([1.3, 4.0]), 0.1)
+    precision, occupancy = np.asarray(prior.precision).copy(), np.asarray(prior.occupancy).copy()
+    precision[3:20, 2:11] = 2.0 * OBSERVED_PRECISION
+    occupancy[3:20, 2:11], occupancy[17:20, 2:5] = -0.1, 0.05
+    precision[6:8, 7] = np.asarray(prior.precision)[6:8, 7]  # a hole, which only the neighbours' readings surround
+    occupancy[0:2] = 0.2  # never observed, so not occupied either
+    planar = PlanarMap(jnp.asarray(occupancy), jnp.asarray(precision), prior.origin, prior.cell_size)
+    write_ros_map(tmp_path / "map.yaml", OccupancyGrid.from_planar_map(planar))
+    states, centres = read_ros_map(tmp_path / "map.yaml")
+    assert states.shape == (9, 17)
+    i, j = np.rint((centres - np.asarray(prior.origin)) / 0.1).astype(int).transpose(2, 0, 1)
+    np.testing.assert_allclose(np.asarray(planar.centres())[i, j], centres, atol=1e-5)
+    expected = np.where(occupancy > 0.0, OCCUPIED, FREE)
+    expected[~planar.observed] = UNKNOWN
+    np.testing.assert_array_equal(states, expected[i, j])
+    with pytest.raises(InputError, match="something observed"):
+        OccupancyGrid.from_planar_map(prior)
 
 
 def test_unobserved_space_is_unknown(tmp_path):

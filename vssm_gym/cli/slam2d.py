@@ -29,9 +29,9 @@ def slam2d(
     """Find the path of a robot with a laser scanner, and the map of its plane.
 
     LOG is a file (CARMEN, or a graph with ROBOTLASER1 and EDGE2; text or gzip), or the name of a maze that is driven
-    through first. OUT gets trajectory.txt (x, y, heading at each scan, from the first), slam2d.json, slam2d.svg and
-    slam2d.html: the map, and the errors beside those of path integration. Poses and loops of the log are read for these
-    errors alone.
+    through first. OUT gets trajectory.txt (x, y, heading at each scan, from the first), map.yaml and map.pgm (free,
+    occupied, unknown; for ROS's map_server), slam2d.json, slam2d.svg and slam2d.html: the map, and the errors beside
+    those of path integration. Poses and loops of the log are read for these errors alone.
 
     Args:
         log: file, or rooms-v1, rings-v1 and the other mazes.
@@ -59,6 +59,7 @@ def slam2d(
     from vssm_gym.eval.studies.page import study_folder, write_study
     from vssm_gym.files.atomic import atomic_write
     from vssm_gym.files.output_folders import check_at_least, check_folder
+    from vssm_gym.planning.occupancy_grid import OccupancyGrid, write_ros_map
 
     check_at_least("slam2d", "seed", seed, 0)
     check_at_least("slam2d", "steps", steps, 1)
@@ -96,6 +97,7 @@ def slam2d(
                 )
                 estimates = {"trajectory.txt": run.poses}
                 estimates |= {"trajectory_latent.txt": beside.poses} if beside else {}
+                write_ros_map(out / "map.yaml", OccupancyGrid.from_planar_map(run.m))
         for name, poses in estimates.items():
             with atomic_write(out / name) as temporary, temporary.open("w") as file:
                 file.write("# x y heading\n")

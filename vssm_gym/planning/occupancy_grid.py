@@ -1,4 +1,4 @@
-"""Read a learned map as free, occupied and unknown cells, and write them for ROS's ``map_server``.
+"""Read a learned map, of space or the plane, as free, occupied and unknown cells, and write them for ``map_server``.
 
 ROS's conventions hold: the origin is the lower left corner of the lower left cell, image rows run from the highest y
 down, white is free, black is occupied, and what lies between the two thresholds is unknown.
@@ -12,6 +12,7 @@ import numpy as np
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.maps.columns import BODY_HEIGHTS, OBSERVED_SHARE, observed_columns
+from vssm_gym.maps.planar_map import PlanarMap
 from vssm_gym.maps.voxel_map import VoxelMap
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1  # as in nav_msgs/OccupancyGrid
@@ -62,15 +63,32 @@ class OccupancyGrid:
         top, share = observed_columns(voxel_map, z_min, height, spacing)
         occupied = _blocks(top > 0.0, per_cell).any(axis=(1, 3))
         unknown = _blocks(share, per_cell).mean(axis=(1, 3)) < OBSERVED_SHARE
+        if unknown.all() and not occupied.any():
+            raise InputError("map", "belief", f"something observed between {z_min} and {height} m; found nothing")
+        # The first column stands in the middle of its share of the cell.
+        return cls._of_known(occupied, unknown, voxel_map.bounds[0, :2] - 0.5 * spacing, float(resolution))
+
+    @classmethod
+    def from_planar_map(cls, planar_map: PlanarMap) -> "OccupancyGrid":
+        """Return the cells of a map of the plane: occupied where the mean exceeds zero, unknown where never observed.
+
+        Raises:
+            InputError: a map that shows nothing.
+        """
+        unknown = ~planar_map.observed
+        if unknown.all():
+            raise InputError("map", "belief", "something observed; found nothing")
+        occupied = ~unknown & (np.asarray(planar_map.occupancy) > 0.0)
+        cell = round(float(planar_map.cell_size), 6)  # 0.1, not the float32 beside it
+        return cls._of_known(occupied, unknown, np.asarray(planar_map.origin, np.float64) - 0.5 * cell, cell)
+
+    @classmethod
+    def _of_known(cls, occupied: np.ndarray, unknown: np.ndarray, corner: np.ndarray, cell: float) -> "OccupancyGrid":
+        """Return the window of a plan from ``corner`` on that holds all known cells, of which there is one."""
         cells = np.where(occupied, OCCUPIED, np.where(unknown, UNKNOWN, FREE)).astype(np.int8)
         known = np.argwhere(cells != UNKNOWN)
-        if len(known) == 0:
-            raise InputError("map", "belief", f"something observed between {z_min} and {height} m; found nothing")
         first, last = known.min(axis=0), known.max(axis=0)
-        # The first column stands in the middle of its share of the cell.
-        corner = voxel_map.bounds[0, :2] - 0.5 * spacing + first * resolution
-        window = cells[first[0] : last[0] + 1, first[1] : last[1] + 1]
-        return cls(window, corner, float(resolution))
+        return cls(cells[first[0] : last[0] + 1, first[1] : last[1] + 1], corner + first * cell, cell)
 
     def image(self) -> np.ndarray:
         """Draw the grid as ROS does: uint8 ``(ny, nx)``, the first row at the highest y."""
