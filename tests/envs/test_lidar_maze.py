@@ -105,6 +105,14 @@ def test_rendering_shows_plan_and_readings():
     env.step(act(turn=0.2, step=0.02))
     assert (env.render() != picture).any() and picture.std() > 20
     np.testing.assert_array_equal(env.render(), env.render())  # looking draws no noise
+    camera = make(render_mode="rgb_array", sensor="camera", beams=8)
+    strip = camera.reset(seed=0)[0]["strip"][0]
+    angles = camera.planar[2] + 2.0 * np.pi * np.arange(8) / 8
+    picture = camera.render()
+    for angle, colour in zip(angles, strip, strict=True):  # each column's colour lies in its direction
+        at = camera.planar[:2] + 0.055 * np.array([np.cos(angle), np.sin(angle)])
+        column, row = np.rint(camera._plan.pixels(at)).astype(int)
+        assert np.abs(picture[row, column].astype(int) - colour).max() <= 1
     explorer = make(render_mode="rgb_array", task="explore")
     explorer.reset(seed=0)
     assert explorer.render().shape == (480, 480, 3)

@@ -43,6 +43,7 @@ LONGEST_RANGE = 1.5  # m, upper bound of a reading: no wall of the unit square i
 MAZE_REWARD = DenseReward(step_cost=0.001, success=1.0)  # in metres gained, or in tiles visited
 MAZE_PICTURE = 480  # pixels, height and width of a rendered picture
 _RAY = (236, 140, 40)  # RGB of the scan's points
+_RING, _RING_WIDTH = 0.06, 8  # m from the robot, and pixels: the strip's ring
 
 
 class LidarMazeEnv(PhasedEnv):
@@ -181,7 +182,10 @@ class LidarMazeEnv(PhasedEnv):
         return self.sensors.observation(), reward, terminated, False, info
 
     def panels(self) -> list[Panel]:
-        """Return the plan with path, robot, goal region and the latest scan around the true pose: ``(480, 480, 3)``."""
+        """Return the plan with path, robot, goal region and what the sensor sees from the true pose: ``(480, 480, 3)``.
+
+        A scan is points; a strip is a ring around the robot, whose colours lie in the directions of its columns.
+        """
         assert self.task is not None
         if self._plan is None:
             self._plan = TopDown(self.maze.apartment.boxes(), MAZE_PICTURE, MAZE_PICTURE, margin=0.02)
@@ -189,13 +193,14 @@ class LidarMazeEnv(PhasedEnv):
         picture = self._plan.draw(np.array(self._path), self.planar, self.robot.radius, goal, self.success_radius)
         image = Image.fromarray(picture)
         legend = {name: colour for name, colour in PLAN_LEGEND.items() if name != "goal" or goal is not None}
-        if self.sensor == "camera":
-            return [Panel(np.asarray(image), "plan", legend)]
         self.sense()
-        ranges = self.sensors.reading("scan")
         angle = self.planar[2] + 2.0 * np.pi * np.arange(self.beams) / self.beams
-        ends = self.planar[:2] + ranges[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         pen = ImageDraw.Draw(image)
+        if self.sensor == "camera":
+            self._draw_strip(pen, angle)
+            return [Panel(np.asarray(image), "plan", legend)]
+        ranges = self.sensors.reading("scan")
+        ends = self.planar[:2] + ranges[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         for column, row in self._plan.pixels(ends[ranges > 0.0]):
             pen.ellipse((column - 2.0, row - 2.0, column + 2.0, row + 2.0), fill=_RAY)
         return [Panel(np.asarray(image), "plan", legend | {"scan": _RAY})]
@@ -206,6 +211,15 @@ class LidarMazeEnv(PhasedEnv):
         if isinstance(self.objective, MazeCoverage):
             return [Caption("coverage", f"{self.objective.ratio:.1%}")]
         return [Caption("goal", f"{math.hypot(*(self.planar[:2] - self.task.goal)):.2f} m")]
+
+    def _draw_strip(self, pen: ImageDraw.ImageDraw, angle: np.ndarray) -> None:
+        """Draw the strip's columns, which look along ``angle`` (rad), as a ring around the robot."""
+        assert self._plan is not None
+        half = 180.0 / self.beams
+        (left, top), (right, bottom) = self._plan.pixels(self.planar[:2] + _RING * np.array([[-1.0, 1.0], [1.0, -1.0]]))
+        for degrees, colour in zip(np.degrees(angle), self.sensors.reading("strip")[0].tolist(), strict=True):
+            # Pillow's angles run clockwise.
+            pen.arc((left, top, right, bottom), -degrees - half, -degrees + half, fill=tuple(colour), width=_RING_WIDTH)
 
     def _eye(self, noise: Any) -> MazeScan | MazeStrip:
         """Return the scanner, or the camera among painted walls."""
