@@ -227,7 +227,7 @@ def jobs_of(
 def given_map_hash(config: SweepConfig, map_file: Path) -> str:
     """Return the hash of a map that agents are given; raise :class:`InputError` where it cannot be theirs."""
     if len(config.scenes) != 1:
-        raise InputError("sweep", "map", f"a configuration of one scene; found {len(config.scenes)}")
+        raise InputError(map_file, "map", f"a configuration of one scene; found {len(config.scenes)}")
     return scene_map_hash(map_file)
 
 
