@@ -19,7 +19,7 @@ from vssm_gym.eval.episodes.manifest import MANIFEST, completed, read_manifest
 from vssm_gym.eval.episodes.row import DEFAULTS, KEY, checked, identified, written
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
-from vssm_gym.files.line_file import LineFile
+from vssm_gym.files.line_file import LineFile, whole_lines
 
 FILE = "episodes.jsonl"
 LOG_BYTES = 256 << 20  # 200,000 episodes
@@ -41,14 +41,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     """
     if not path.is_file():
         raise InputError(path, "file", "an episode log; `vssm-gym sweep` writes one")
-    return _parse(path, _whole_lines(read_bytes(path, LOG_BYTES)))
-
-
-def _whole_lines(data: bytes) -> bytes:
-    """Return the log up to the last line that ended; a crash of the machine may also leave a last line of zeros."""
-    whole = data[: data.rfind(b"\n") + 1]
-    last = whole[:-1].rpartition(b"\n")[2]
-    return whole[: len(whole) - len(last) - 1] if b"\0" in last else whole
+    return _parse(path, whole_lines(read_bytes(path, LOG_BYTES)))
 
 
 def _parse(path: Path, data: bytes) -> list[dict[str, Any]]:
@@ -87,7 +80,7 @@ class EpisodeLog:
     """Write a log, in a folder that this process owns. ``rows`` are its episodes, earlier processes' included."""
 
     def __init__(self, path: Path) -> None:
-        whole = _whole_lines(read_bytes(path, LOG_BYTES)) if path.exists() else b""
+        whole = whole_lines(read_bytes(path, LOG_BYTES)) if path.exists() else b""
         self.rows = _parse(path, whole)
         self._file = LineFile(path, keep=len(whole))
 

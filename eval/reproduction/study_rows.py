@@ -9,7 +9,7 @@ from typing import Any
 from vssm_gym.eval.reproduction.comparison import Reproduced, first_difference, spread_evenly
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
-from vssm_gym.files.line_file import LineFile
+from vssm_gym.files.line_file import LineFile, whole_lines
 from vssm_gym.files.output_folders import Owner, owned_folder
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
@@ -56,31 +56,44 @@ class StudyRows:
 
 
 def reproduce_study(
-    kind: StudyRows, folder: Path, out: Path, most: int, tolerance: float, on_progress: OnProgress | None = None
+    kind: StudyRows,
+    folder: Path,
+    out: Path,
+    most: int,
+    tolerance: float,
+    resume: bool = False,
+    on_progress: OnProgress | None = None,
 ) -> list[Reproduced]:
     """Run rows of a study again, spread evenly over it, write them to ``out``, and compare them.
 
     Args:
         kind: of the study.
         folder: with its file of rows, one of this kind at least.
-        out: new or empty folder; it gets the rows as they are now, one a line.
+        out: new or empty folder; it gets the rows as they are now, one a line. With ``resume`` it may hold some.
         most: rows at most.
         tolerance: see :func:`first_difference`.
+        resume: keep the rows that this version has written to ``out``, and run the others.
         on_progress: called with ("rows", done, rows).
     """
     chosen, outcome = spread_evenly(kind.rows(folder), most), []
     lines = out / f"{Path(kind.file.replace('*', '')).stem}.jsonl"
-    owner = Owner("reproduce", "reproduce.json", {"study": kind.name, "version": package_version()}, identity=())
-    with owned_folder(out, owner), LineFile(lines) as file:
-        for done, row in enumerate(chosen):
-            if on_progress:
-                on_progress("rows", done, len(chosen))
-            found = dict(kind.again(row))
-            file.append((json.dumps({name: row[name] for name in kind.identity} | found) + "\n").encode())
-            version = row.get("version", row.get("code"))
-            compared = {
-                name: value for name, value in row.items() if name not in kind.made_by and name not in kind.identity
-            }
-            outcome.append(Reproduced(kind.words(row), first_difference(compared, found, tolerance), version))
-            kind.release()
+    content = {"study": kind.name, "version": package_version()}
+    owner = Owner("reproduce", "reproduce.json", content, identity=("study", "version"), resumed=(lines.name,))
+    with owned_folder(out, owner, resume):
+        kept = whole_lines(read_bytes(lines, STUDY_BYTES)) if lines.is_file() else b""
+        before = {kind.words(row): row for _, row in parse_json_lines(kept, lines, "a row of a study")}
+        with LineFile(lines, keep=len(kept)) as file:
+            for done, row in enumerate(chosen):
+                if on_progress:
+                    on_progress("rows", done, len(chosen))
+                found = before.get(kind.words(row))
+                if found is None:
+                    found = {name: row[name] for name in kind.identity} | dict(kind.again(row))
+                    file.append((json.dumps(found) + "\n").encode())
+                    kind.release()
+                version = row.get("version", row.get("code"))
+                compared = {
+                    name: value for name, value in row.items() if name not in kind.made_by and name not in kind.identity
+                }
+                outcome.append(Reproduced(kind.words(row), first_difference(compared, found, tolerance), version))
     return outcome

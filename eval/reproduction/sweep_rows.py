@@ -12,11 +12,12 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, episode_key, read_rows
 from vssm_gym.eval.episodes.manifest import MANIFEST, read_manifest
+from vssm_gym.eval.protocols.given_tasks import task_file_hash
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.reproduction.comparison import Reproduced, first_difference, spread_evenly
 from vssm_gym.eval.sweep.config import SweepConfig, check_environments, check_names
 from vssm_gym.eval.sweep.runner import run_sweep
-from vssm_gym.files.shipped import MAPS, names, shipped
+from vssm_gym.files.shipped import MAPS, POLICIES, names, shipped
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.progress import OnProgress
 
@@ -46,7 +47,9 @@ def reproduce_sweep(
     episodes: int,
     tolerance: float,
     scenes: Mapping[str, str],
+    task_file: Path | None = None,
     workers: int = 2,
+    resume: bool = False,
     on_progress: OnProgress | None = None,
 ) -> list[Reproduced]:
     """Run rows of a finished sweep again, spread evenly over it, and compare their outcomes.
@@ -54,11 +57,13 @@ def reproduce_sweep(
     Args:
         folder: of the sweep: ``sweep.json`` and ``episodes.jsonl``, and where policies drove, their files in
             ``policies/``, found by the labels in the rows.
-        out: new or empty folder of the sweep that runs them.
+        out: new or empty folder of the sweep that runs them, or with ``resume`` that of an interrupted one.
         episodes: rows at most.
         tolerance: see :func:`first_difference`.
         scenes: files of scenes that are not built in, by name.
+        task_file: that of the sweep, where it was given one.
         workers: processes.
+        resume: continue.
         on_progress: as of :func:`run_sweep`.
 
     Raises:
@@ -68,12 +73,19 @@ def reproduce_sweep(
     if not rows:
         raise InputError(folder / FILE, "file", "at least one episode")
     chosen = spread_evenly(rows, episodes)
-    config = _config(folder, manifest, chosen, scenes)
+    config = _config(folder, manifest, chosen, scenes, task_file)
     hashes = _hashes(folder, manifest, config)
     part = ChosenEpisodes(tuple(episode_key(row) for row in chosen), tuple(hashes.items()))
     given = _given_map(folder, manifest)
     log = run_sweep(
-        config, out, seed=manifest["seed"], shard=part, workers=workers, map_file=given, on_progress=on_progress
+        config,
+        out,
+        resume=resume,
+        workers=workers,
+        seed=manifest["seed"],
+        shard=part,
+        map_file=given,
+        on_progress=on_progress,
     )
     found = {episode_key(row): row for row in read_rows(log)}
     outcome = []
@@ -87,19 +99,24 @@ def reproduce_sweep(
 
 
 def _config(
-    folder: Path, manifest: Mapping[str, Any], rows: Sequence[Mapping[str, Any]], scenes: Mapping[str, str]
+    folder: Path,
+    manifest: Mapping[str, Any],
+    rows: Sequence[Mapping[str, Any]],
+    scenes: Mapping[str, str],
+    task_file: Path | None,
 ) -> SweepConfig:
     """Return the configuration of the sweep, with the scenes and agents of the chosen rows alone."""
     policies = policies_of(folder)
     agents = [policies.get(agent, agent) for agent in dict.fromkeys(row["agent"] for row in rows)]
     for agent in agents:
         if not agent.startswith(PREFIX) and agent.partition(WITH)[0] not in AGENTS:
-            expected = f"agents of the registry, or policies whose files lie in {POLICY_FOLDER}/; {agent} is neither"
+            expected = f"agents of the registry, or policies of the package or of {POLICY_FOLDER}/; {agent} is none"
             raise InputError(folder / MANIFEST, "config.agents", expected)
     names = list(dict.fromkeys(row["scene"] for row in rows))
     given = dict(manifest["config"]) | {
         "agents": agents,
         "scenes": [scenes.get(name, spec_of_name(name)) for name in names],
+        "task_file": _tasks(folder, manifest["config"].get("task_file"), task_file),
     }
     config = SweepConfig.model_validate({name: value for name, value in given.items() if value is not None})
     check_environments(config, folder / MANIFEST)
@@ -108,8 +125,18 @@ def _config(
 
 
 def policies_of(folder: Path) -> dict[str, str]:
-    """Return ``policy:PATH`` of each policy file of a sweep's folder, by the label that rows have for it."""
-    return {label(path): f"{PREFIX}{path.resolve()}" for path in sorted((folder / POLICY_FOLDER).glob("*.npz"))}
+    """Return ``policy:PATH`` of the policies of the package and of a sweep's folder, by the label that rows have."""
+    known = [shipped(name, POLICIES) for name in names(POLICIES)] + sorted((folder / POLICY_FOLDER).glob("*.npz"))
+    return {label(path): f"{PREFIX}{path.resolve()}" for path in known}
+
+
+def _tasks(folder: Path, wanted: str | None, given: Path | None) -> str | None:
+    """Return the path of the task file, whose hash the sweep wrote down; None where it drew its own tasks."""
+    found = None if given is None else task_file_hash(given)
+    if found == wanted:
+        return None if given is None else str(given.resolve())
+    expected = "none: the sweep drew its tasks" if wanted is None else f"the sweep's, of hash {wanted}, as --task-file"
+    raise InputError(given or folder / MANIFEST, "task_file", f"{expected}{f'; this is {found}' if found else ''}")
 
 
 def _given_map(folder: Path, manifest: Mapping[str, Any]) -> Path | None:

@@ -92,12 +92,13 @@ def expand(config: SweepConfig) -> Iterator[Episode]:
             yield Episode(condition, task, seed, agent, config.explore)
 
 
-def load_config(path: str | Path, scenes: Sequence[str] = ()) -> SweepConfig:
+def load_config(path: str | Path, scenes: Sequence[str] = (), agents: Sequence[str] = ()) -> SweepConfig:
     """Read and check the configuration of a sweep.
 
     Args:
         path: YAML file; relative scenes and policies in it start at its folder.
         scenes: take the place of those in the file, unless empty; relative ones start at the working folder.
+        agents: likewise, with policies that start there.
 
     Returns:
         The configuration, every name of which is known.
@@ -106,9 +107,11 @@ def load_config(path: str | Path, scenes: Sequence[str] = ()) -> SweepConfig:
         InputError: no such file, not YAML, a field that is unknown, missing or malformed, or an unknown name.
     """
     path = Path(path)
-    config, folder = read_yaml(path, SweepConfig), path.parent
+    config, folder, policies = read_yaml(path, SweepConfig), path.parent, path.parent
     if scenes:
-        config, folder = _in_scenes(config, scenes), Path()
+        config, folder = _changed(config, scenes=tuple(scenes)), Path()
+    if agents:
+        config, policies = _changed(config, agents=tuple(agents)), Path()
     check_environments(config, path)
     if config.task_file is not None and SWEPT_ENVIRONMENTS[config.env[0]].robot != "holonomic":
         raise InputError(path, "task_file", f"none with {config.env[0]}: PointNav, ImageNav and Explore take one")
@@ -120,17 +123,17 @@ def load_config(path: str | Path, scenes: Sequence[str] = ()) -> SweepConfig:
         scene if scene in protocol.scene_names() or scene.startswith(PREFIX) else str((folder / scene).resolve())
         for scene in config.scenes
     )
-    agents = tuple(policy_at(agent, path.parent) for agent in config.agents)
+    named = tuple(policy_at(agent, policies) for agent in config.agents)
     task_file = None if config.task_file is None else str((path.parent / config.task_file).resolve())
-    config = config.model_copy(update={"scenes": found, "agents": agents, "task_file": task_file})
+    config = config.model_copy(update={"scenes": found, "agents": named, "task_file": task_file})
     check_names(config, path)
     return config
 
 
-def _in_scenes(config: SweepConfig, scenes: Sequence[str]) -> SweepConfig:
-    """Return the configuration with other scenes."""
+def _changed(config: SweepConfig, **change: tuple[str, ...]) -> SweepConfig:
+    """Return the configuration with other values of a field."""
     try:
-        return SweepConfig.model_validate(config.model_dump() | {"scenes": tuple(scenes)})
+        return SweepConfig.model_validate(config.model_dump() | change)
     except ValidationError as error:
         raise first_problem(Path("sweep"), error, SweepConfig) from error
 

@@ -47,16 +47,32 @@ def recorded_episodes(
         on_progress: called with ("recording" | "map" | "episodes", done, total).
 
     Raises:
-        InputError: several environments, no episode with a step, or what a sweep refuses.
+        InputError: several environments, agents that observe differently, no episode with a step, or what a sweep
+            refuses.
     """
     if len(config.env) > 1:
         raise InputError("dataset", "env", f"one environment, whose observations a data set has; found {config.env}")
+    _check_observations(config)
     episodes = _episodes(config, scratch, seed, map_file, on_progress)
     first = next(episodes, None)
     if first is None:
         raise InputError("dataset", "episodes", "one with a step; every agent gave up at once")
     env, episode = first
     return _description(config, env, episode), itertools.chain([episode], (later for _, later in episodes))
+
+
+def _check_observations(config: SweepConfig) -> None:
+    """Raise :class:`InputError` where some agents are shown the true pose and others are not, before any is driven."""
+    from vssm_gym.agents.registry import agent_type
+
+    shown = [agent for agent in config.agents if agent_type(agent).needs_pose]
+    if 0 < len(shown) < len(config.agents):
+        others = [agent for agent in config.agents if agent not in shown]
+        expected = (
+            f"agents with the same observations; found {', '.join(shown)} with the true pose, {', '.join(others)} "
+            "without (--agents chooses some of them)"
+        )
+        raise InputError("dataset", "agents", expected)
 
 
 def _episodes(

@@ -8,6 +8,13 @@ from typing import Self
 from vssm_gym.files.atomic import refusals_named
 
 
+def whole_lines(data: bytes) -> bytes:
+    """Return a file up to the last line that ended; a crash of the machine may also leave a last line of zeros."""
+    whole = data[: data.rfind(b"\n") + 1]
+    last = whole[:-1].rpartition(b"\n")[2]
+    return whole[: len(whole) - len(last) - 1] if b"\0" in last else whole
+
+
 class LineFile:
     """Append lines to a file that is kept open; a line that cannot be written whole is taken back.
 

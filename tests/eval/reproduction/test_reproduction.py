@@ -13,8 +13,11 @@ from tests.helpers.paths import CHECKOUT
 from tests.helpers.straight_policy import straight
 from tests.helpers.sweeps.benchmark_suites import write_suite
 from vssm_gym.agents.policy import policy_file
+from vssm_gym.agents.policy.policy_file import agent_label
 from vssm_gym.cli.sweeps.reproduce import reproduce
-from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.envs.robots import HolonomicRobot
+from vssm_gym.envs.scenes.scene import load_scene, save_scene
+from vssm_gym.envs.tasks.navigation import save, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.prediction.measure import measure
 from vssm_gym.eval.bench.prediction.models import models
@@ -72,6 +75,49 @@ def test_rows_have_the_same_outcome_once_more(sweep, tmp_path, capsys):
     assert len(again) == 4
 
 
+def test_an_interrupted_run_goes_on(sweep, tmp_path, capsys):
+    out = tmp_path / "again"
+    reproduce(sweep, out, episodes=4, workers=1)
+    whole = (out / FILE).read_text().splitlines(keepends=True)
+    first = json.loads(whole[0]) | {"steps": 123_456}  # so that it is seen which rows are kept
+    (out / FILE).write_text(json.dumps(first) + "\n" + whole[1][:40])
+    with pytest.raises(InputError, match="a folder without rows"):
+        reproduce(sweep, out, episodes=4, workers=1)
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        reproduce(sweep, out, episodes=4, workers=1, resume=True)
+    said = capsys.readouterr().out
+    assert "steps: expected" in said and "3 of 4 rows have the same outcome" in said
+    assert len((out / FILE).read_text().splitlines()) == 4
+    with pytest.raises(InputError, match="a folder without rows"):
+        reproduce(sweep, sweep, workers=1, resume=True)  # its own rows are no second run
+
+
+def test_the_task_file_of_a_sweep_is_asked_for(sweep, tmp_path):
+    """By the hash that the sweep wrote down; a sweep that drew its tasks takes none."""
+    copy, other = altered(sweep, tmp_path), tmp_path / "tasks.json"
+    other.write_text("{}")
+    with pytest.raises(InputError, match=r"tasks\.json: task_file: expected none: the sweep drew its tasks"):
+        reproduce(copy, tmp_path / "again", workers=1, task_file=other)
+    manifest = json.loads((copy / "sweep.json").read_text())
+    manifest["config"]["task_file"] = "0123456789abcdef"
+    (copy / "sweep.json").write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=r"sweep\.json: task_file: expected .*0123456789abcdef, as --task-file"):
+        reproduce(copy, tmp_path / "again", workers=1)
+    with pytest.raises(InputError, match=r"tasks\.json: task_file: expected .*0123456789abcdef, .*; this is "):
+        reproduce(copy, tmp_path / "again", workers=1, task_file=other)
+
+
+@pytest.mark.slow
+def test_rows_of_a_task_file_are_run_with_it(tmp_path, capsys):
+    tasks = tmp_path / "tasks.json"
+    save(task_set(load_scene("oak"), HolonomicRobot(), "test", 2), tasks)
+    config = SweepConfig(scenes=("oak",), agents=("random",), tasks=(1,), task_file=str(tasks))
+    run_sweep(config, tmp_path / "sweep", workers=1)
+    reproduce(tmp_path / "sweep", tmp_path / "again", workers=1, task_file=tasks)
+    assert "1 of 1 rows have the same outcome" in capsys.readouterr().out
+
+
 def test_an_altered_row_fails_and_the_field_is_named(sweep, tmp_path, capsys):
     length = json.loads((sweep / FILE).read_text().splitlines()[-1])["path_length"]
     with pytest.raises(SystemExit):
@@ -84,7 +130,7 @@ def test_an_altered_row_fails_and_the_field_is_named(sweep, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"agent": "policy@12345678"}, r"config\.agents: expected agents of the registry, or policies whose files"),
+        ({"agent": "policy@12345678"}, r"config\.agents: expected agents of the registry, or policies of the package"),
         ({"agent": "astar"}, "agents"),
     ],
 )
@@ -152,6 +198,10 @@ def test_the_check_of_committed_policies_finds_a_missing_and_a_foreign_one(sweep
 
 
 @pytest.mark.slow
+def test_policies_of_the_package_are_found(tmp_path):
+    assert policies_of(tmp_path)[agent_label("policy:oak")].endswith("oak.npz")
+
+
 def test_the_rows_of_a_policy_are_run_by_its_file_in_the_folder(tmp_path, capsys):
     save_scene(two_rooms(), tmp_path / "rooms.json")
     policy_file.save(tmp_path / "straight.npz", straight())
@@ -290,7 +340,10 @@ def test_rows_of_a_table_are_run_again_and_an_altered_one_is_named(tmp_path, cap
     (study / "calibration.json").write_text(json.dumps(stored))
     with pytest.raises(SystemExit):
         reproduce(study, tmp_path / "altered")
-    assert "row dead-reckoning-high: nees.mean: expected" in capsys.readouterr().out
+    with pytest.raises(SystemExit):  # the rows that are there are kept
+        reproduce(study, tmp_path / "again", resume=True)
+    assert len((tmp_path / "again" / "calibration.jsonl").read_text().splitlines()) == 2
+    assert capsys.readouterr().out.count("row dead-reckoning-high: nees.mean: expected") == 2
     rows = stored["figures"].pop("rows")
     (study / "calibration.json").write_text(json.dumps(stored))
     with pytest.raises(InputError, match=r"figures\.rows: expected the rows of a study"):

@@ -1,9 +1,12 @@
 """Test driven episodes of a data set: they are those of a sweep, and can be made again from their metadata."""
 
+import re
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
+from tests.helpers.paths import CHECKOUT
 from vssm_gym.data.datasets.episode import checked
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.tasks.navigation import Task
@@ -11,7 +14,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.identity import ExploreSettings
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.sweep import recorded
-from vssm_gym.eval.sweep.config import SweepConfig
+from vssm_gym.eval.sweep.config import SweepConfig, load_config
 from vssm_gym.eval.sweep.recorded import recorded_episodes
 from vssm_gym.eval.sweep.runner import run_sweep
 
@@ -91,6 +94,17 @@ def test_every_environment_of_a_sweep_can_be_driven(tmp_path, changes, agent, ra
 def test_several_environments_are_refused(tmp_path):
     with pytest.raises(InputError, match="dataset: env: expected one environment"):
         recorded_episodes(config(env=("vssm_gym/CarNav-v0", "vssm_gym/CarNav-v1")), tmp_path)
+
+
+def test_agents_with_other_observations_are_refused_before_any_is_driven(tmp_path):
+    with pytest.raises(InputError, match=r"agents: expected .* found oracle with the true pose, astar, random without"):
+        recorded_episodes(config(agents=("astar", "oracle", "random")), tmp_path)
+    assert not list(tmp_path.iterdir())
+    page = (CHECKOUT / "docs/datasets.md").read_text()
+    [(file, agents)] = re.findall(r"dataset export (\S+\.yaml) --agents (.*) --out", page)  # what the page runs
+    recorded._check_observations(load_config(CHECKOUT / file, agents=agents.split()))
+    with pytest.raises(InputError, match=r"sweep: agents: .*'nobody'|agents: expected .*nobody"):
+        load_config(CHECKOUT / file, agents=["nobody"])
 
 
 def test_a_scene_file_is_named_without_its_folder():

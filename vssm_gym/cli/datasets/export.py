@@ -21,6 +21,7 @@ def export(
     format: Literal["minari", "lerobot"] = "minari",
     map: Path | None = None,
     scenes: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SCENE")] = (),
+    agents: Annotated[tuple[str, ...], tyro.conf.arg(metavar="AGENT")] = (),
     seed: int = 0,
 ) -> None:
     """Export the episodes of a configuration, or a recording, as a data set of Minari or LeRobot.
@@ -36,6 +37,7 @@ def export(
         format: of Minari, or of LeRobot (version 3.0).
         map: of a configuration of one scene: a map of it for the agents in place of a learned one; oak comes along.
         scenes: of a configuration: in place of its scenes.
+        agents: of a configuration: in place of its agents. All of a data set observe the true pose, or none.
         seed: of a configuration: seed of the recorded drives from which maps are learned.
     """
     from vssm_gym.cli.shared.console import print_notices
@@ -49,7 +51,12 @@ def export(
     check_at_least("dataset", "seed", seed, 0)
     check_export("dataset", format, out)
     if source.is_dir():
-        for name, value in (("map", map), ("scenes", scenes or None), ("seed", seed or None)):
+        for name, value in (
+            ("map", map),
+            ("scenes", scenes or None),
+            ("agents", agents or None),
+            ("seed", seed or None),
+        ):
             if value is not None:
                 raise InputError("dataset", name, "none with a recording: it belongs to a configuration")
         description, episode = read_recording(source, package_version())
@@ -61,7 +68,7 @@ def export(
         from vssm_gym.eval.sweep.config import load_config
         from vssm_gym.eval.sweep.recorded import recorded_episodes
 
-        config = load_config(source, scenes)
+        config = load_config(source, scenes, agents)
         notice = None if map is None else check_given_map(config, map)
         print_notices(config.scenes)
         if notice:
