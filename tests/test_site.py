@@ -142,3 +142,26 @@ def test_the_results_state_intervals(module):
 def test_docstrings_are_read_as_written(module, written, read):
     pytest.importorskip("sphinx", reason="needs the extra docs")
     assert module("docstrings").readable(written) == read
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        '<script src="//cdn.example/x.js"></script>',
+        '<img src="a.png" srcset="a.png 1x, https://cdn.example/a.png 2x">',
+        '<video poster="http://cdn.example/a.png"></video>',
+        '<object data="https://cdn.example/a.svg"></object>',
+        "<p style=\"background: url('//cdn.example/a.png')\">",
+    ],
+)
+def test_what_is_loaded_from_elsewhere_is_found(module, tmp_path, content):
+    (tmp_path / "a.png").write_bytes(b"")
+    (tmp_path / "page.html").write_text(f'<a href="https://example.org">read</a><img src="a.png">{content}')
+    assert [fault.split()[:2] for fault in module("check_links").faults(tmp_path)] == [["page.html", "loads"]]
+
+
+def test_a_style_sheet_loads_nothing_from_elsewhere(module, tmp_path):
+    (tmp_path / "ours.css").write_text("@import 'b.css'; p { background: url(data:image/png;base64,AA) }")
+    assert not list(module("check_links").faults(tmp_path))
+    (tmp_path / "ours.css").write_text('@import "https://fonts.example/a.css"; p { src: url( //cdn.example/f.woff ) }')
+    assert len(list(module("check_links").faults(tmp_path))) == 2

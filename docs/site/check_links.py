@@ -5,6 +5,7 @@
 Addresses of the web that a reader may follow are not opened.
 """
 
+import re
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -12,7 +13,19 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LOADED = {"img": "src", "script": "src", "link": "href", "source": "src", "iframe": "src"}
+LOADED = {  # attributes whose files a browser loads by itself
+    "audio": ("src",),
+    "embed": ("src",),
+    "iframe": ("src",),
+    "img": ("src", "srcset"),
+    "link": ("href",),
+    "object": ("data",),
+    "script": ("src",),
+    "source": ("src", "srcset"),
+    "track": ("src",),
+    "video": ("src", "poster"),
+}
+STYLE_URL = re.compile(r"url\(\s*['\"]?([^'\")]+)|@import\s+['\"]([^'\"]+)")
 
 
 class Page(HTMLParser):
@@ -31,8 +44,23 @@ class Page(HTMLParser):
         self.anchors |= {found[name] for name in ("id", "name") if name in found}
         if tag == "a" and "href" in found:
             self.links.append(found["href"])
-        if tag in LOADED and LOADED[tag] in found:
-            self.loaded.append(found[LOADED[tag]])
+        for name in LOADED.get(tag, ()):
+            if name == "srcset":
+                self.loaded += [one.split()[0] for one in found.get(name, "").split(",") if one.strip()]
+            elif name in found:
+                self.loaded.append(found[name])
+        self.loaded += urls_of_style(found.get("style", ""))
+
+
+def urls_of_style(text: str) -> list[str]:
+    """Return what a style sheet loads."""
+    return [one or other for one, other in STYLE_URL.findall(text)]
+
+
+def elsewhere(url: str) -> bool:
+    """Return whether an address is of the web: with a scheme, or one that takes the page's."""
+    parts = urlsplit(url)
+    return parts.scheme not in ("", "data") or bool(parts.netloc)
 
 
 @cache
@@ -43,9 +71,12 @@ def parsed(path: Path) -> Page:
 
 def faults(site: Path) -> Iterator[str]:
     """Yield one line for each link that leads nowhere, and for each file that is loaded from the web."""
+    for path in sorted(site.rglob("*.css")):
+        loaded = urls_of_style(path.read_text(encoding="utf-8"))
+        yield from (f"{path.relative_to(site)} loads {url}" for url in loaded if elsewhere(url))
     for path in sorted(site.rglob("*.html")):
         page, name = parsed(path), path.relative_to(site)
-        yield from (f"{name} loads {url}" for url in page.loaded if urlsplit(url).scheme not in ("", "data"))
+        yield from (f"{name} loads {url}" for url in page.loaded if elsewhere(url))
         for url in [*page.links, *page.loaded]:
             parts = urlsplit(url)
             if parts.scheme or parts.netloc:

@@ -39,8 +39,8 @@ class RayPool:
     """Run jobs on a cluster; a process or machine that dies costs its present episode a repetition."""
 
     def __init__(self, cluster: Cluster, processes: int, own: "tuple[type[Agent], ...]" = ()) -> None:
-        self.machines, self.processes = len(cluster.machines), processes
         self._nodes, self._own = cluster.machines, own
+        self.machines, self.processes = len(self._nodes), processes
         self._calls = Calls(cluster, processes)
         self._share = cache(self._calls.share)  # a file is read once
         self._scene = cache(self._scene_file)

@@ -58,30 +58,40 @@ class SharedFile:
 
 
 class Cluster:
-    """Describe a cluster that this process is connected to.
+    """Describe a cluster that this process is connected to, as it is when it is asked: machines join and leave.
 
     Args:
         variables: of the environment of all processes that run calls.
     """
 
     def __init__(self, variables: Mapping[str, str]) -> None:
-        import ray
-
         self.variables, self.numbers = dict(variables), itertools.count()
-        alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
-        self.cpus = sum(int(node["Resources"]["CPU"]) for node in alive)
-        self.nodes = [node["NodeID"] for node in alive]
-        self.machines = list({node["NodeManagerAddress"]: node["NodeID"] for node in alive}.values())  # one node each
-        if not alive:
+        if not self.nodes:
             raise InputError("--ray", "cluster", "a node with a CPU; the cluster has none")
+
+    @property
+    def cpus(self) -> int:
+        """Return the number of CPUs."""
+        return sum(int(node["Resources"]["CPU"]) for node in _alive())
+
+    @property
+    def nodes(self) -> list[str]:
+        """Return the nodes."""
+        return [node["NodeID"] for node in _alive()]
+
+    @property
+    def machines(self) -> list[str]:
+        """Return one node of each machine."""
+        return list({node["NodeManagerAddress"]: node["NodeID"] for node in _alive()}.values())
 
     def check(self) -> None:
         """Raise :class:`InputError` where a node lacks the package, or has other versions than this machine.
 
         The processes that this starts run the first calls.
         """
-        with contextlib.closing(Calls(self, len(self.nodes), number=0)) as calls:
-            for future in [calls.submit(os.getpid, node=node) for node in self.nodes]:
+        nodes = self.nodes
+        with contextlib.closing(Calls(self, len(nodes), number=0)) as calls:
+            for future in [calls.submit(os.getpid, node=node) for node in nodes]:
                 try:
                     future.result()
                 except InputError:
@@ -90,6 +100,13 @@ class Cluster:
                     last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
                     expected = f"nodes whose Python has vssm_gym and its libraries; one answers: {last}"
                     raise InputError("--ray", "cluster", expected) from None
+
+
+def _alive() -> list[dict[str, Any]]:
+    """Return the nodes that have a CPU, as Ray describes them."""
+    import ray
+
+    return [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
 
 
 class Calls:
