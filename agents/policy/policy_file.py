@@ -42,6 +42,8 @@ LARGEST_LIMIT = 1e6  # m, rad: a bound of commands and distances, far beyond any
 ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
 SQUASHES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"clip": lambda x: np.clip(x, -1.0, 1.0), "tanh": np.tanh}
 
+_running: dict[str, str] = {}  # by path, labels of the policies that this process runs
+
 
 @dataclass(frozen=True)
 class PolicySpec:
@@ -124,6 +126,7 @@ def save(path: Path, policy: Policy) -> None:
         arrays |= {f"weight{i}": weight.astype(np.float32), f"bias{i}": bias.astype(np.float32)}
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
+    _running.clear()
 
 
 def load(path: str | Path) -> Policy:
@@ -136,14 +139,14 @@ def load(path: str | Path) -> Policy:
 
 
 def loaded(path: str) -> Policy:
-    """Read a policy file once per process, so that rows name the policy that was run if the file changes."""
-    return _read(path)[0]
+    """Read a policy to run it, which :func:`label` names until this process saves one: rows name what was run."""
+    policy, _running[path] = _read(path)
+    return policy
 
 
 def label(path: str | Path) -> str:
     """Return ``NAME@HASH``, the name of a file's policy in rows, tables and reports."""
-    policy, digest = _read(str(path))
-    return f"{policy.spec.name}@{digest[:HASH_DIGITS]}"
+    return _running.get(str(path)) or _read(str(path))[1]
 
 
 def agent_label(agent: str) -> str:
@@ -161,12 +164,20 @@ def policy_at(agent: str, folder: Path) -> str:
     return PREFIX + str(beside(agent.removeprefix(PREFIX), folder, POLICIES).resolve())
 
 
-@lru_cache(maxsize=64)
 def _read(path: str) -> tuple[Policy, str]:
+    """Return the policy and the label of a file; one that has not changed is read once."""
+    file = shipped(path, POLICIES)
+    found = file.stat() if file.is_file() else None
+    return _unchanged(path, (found.st_ino, found.st_mtime_ns, found.st_size) if found else None)
+
+
+@lru_cache(maxsize=64)
+def _unchanged(path: str, state: tuple[int, ...] | None) -> tuple[Policy, str]:
     return _parsed(path)
 
 
 def _parsed(path: str | Path) -> tuple[Policy, str]:
+    """Read and check a policy file; return its policy and its label."""
     path = shipped(path, POLICIES)
     expected = f"a policy file (.npz); `vssm-gym train` makes one{or_shipped(POLICIES)}"
     data = read_bytes(path, POLICY_BYTES, expected)
@@ -179,7 +190,7 @@ def _parsed(path: str | Path) -> tuple[Policy, str]:
         spec = _spec(path, header)
         layers = _layers(path, spec, stored)
         normalisation = _normalisation(path, spec, stored) if found[1] == NORMALISED_VERSION else None
-    return Policy(spec, layers, normalisation), hashlib.sha256(data).hexdigest()
+    return Policy(spec, layers, normalisation), f"{spec.name}@{hashlib.sha256(data).hexdigest()[:HASH_DIGITS]}"
 
 
 def _spec(path: str | Path, header: dict[str, Any]) -> PolicySpec:

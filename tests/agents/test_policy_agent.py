@@ -194,6 +194,38 @@ def test_labels_follow_the_content(tmp_path):
     assert policy_file.agent_label("astar") == "astar"
 
 
+@pytest.mark.parametrize("write", ["save", "copy"])
+def test_labels_follow_the_file(tmp_path, write):
+    """Saved in this process or by another one; the second sweep of a program is of the second policy."""
+    path, other = tmp_path / "mine.npz", tmp_path / "other.npz"
+    policy_file.save(path, policy())
+    policy_file.save(other, policy(1))
+    config = SweepConfig.model_validate({"scenes": "oak", "tasks": 1, "agents": [f"policy:{path}"]})
+    before, first = policy_file.label(path), config_hash(config, {"oak": "0"}, 0)
+    if write == "save":
+        policy_file.save(path, policy(1))
+    else:
+        os.replace(other, path)
+    assert policy_file.label(path) != before and config_hash(config, {"oak": "0"}, 0) != first
+    np.testing.assert_array_equal(policy_file.loaded(str(path)).layers[0][0], policy(1).layers[0][0])
+
+
+def test_rows_name_the_policy_that_was_run(tmp_path):
+    """A training writes its policy every minute, also while a worker of a sweep runs the one before."""
+    path, other = tmp_path / "policy.npz", tmp_path / "other.npz"
+    policy_file.save(path, policy())
+    policy_file.save(other, policy(1))
+    agent, first = f"policy:{path}", policy_file.label(path)
+    make_agent(agent)
+    os.replace(other, path)
+    assert policy_file.agent_label(agent) == first
+    make_agent(agent)
+    assert policy_file.agent_label(agent) != first
+    make_agent(agent)
+    policy_file.save(path, policy())
+    assert policy_file.agent_label(agent) == first
+
+
 def rewritten(path: Path, header: dict[str, Any] | None = None, **arrays: np.ndarray) -> Path:
     """Write a policy file with another header or other arrays."""
     policy_file.save(path, policy())

@@ -94,8 +94,7 @@ def _train_one(config: "TrainingConfig", out: Path, resume: bool) -> None:
             show("training", done, 1.0, _summary(row, config))
 
         policy = run_training(config, out, resume=resume, on_update=on_update)
-    if last:
-        say(_times(last))
+    say(_times(last) if last else "this training has ended already: no file has changed")
     say(f"log: {out / PROGRESS}", f"policy: {policy}", f"next: {_evaluation(policy, config)}")
 
 

@@ -71,6 +71,7 @@ def clone(run: Run) -> None:
         return
     if not epochs_done:
         raise InputError("train", "minutes", f"enough of them to drive and to fit {len(vectors)} steps once")
+    run.check(array for layer in layers for array in layer)
     run.end(row, lambda: run.write_policy(layers, "clip"))
     kept.unlink()
 

@@ -5,7 +5,7 @@ import json
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from vssm_gym.agents.policy.policy_file import Policy, PolicySpec, save
+from vssm_gym.agents.policy.policy_file import Policy, PolicySpec, load, save
 from vssm_gym.errors import InputError
 from vssm_gym.files.bounded import read_bytes
 from vssm_gym.files.json_file import parse_json_lines
@@ -107,6 +107,14 @@ class Run:
         minutes = self.config.minutes
         return min(1.0, max(self.steps / self.config.steps, self.seconds / (60.0 * minutes) if minutes else 0.0))
 
+    def finished(self) -> bool:
+        """Return whether an earlier session has ended the training; of its files the policy is written last."""
+        if not self.policy_file.is_file():
+            return False
+        trained, minutes = load(self.policy_file).spec.trained, self.config.minutes
+        late = minutes is not None and trained["seconds"] >= round(60.0 * minutes, 1)
+        return late or trained["steps"] >= self.config.steps
+
     def over(self) -> bool:
         """Return True to end now: interrupted, or out of time."""
         minutes = self.config.minutes
@@ -127,11 +135,21 @@ class Run:
 
     def end(self, row: Row, keep: Callable[[], None]) -> None:
         """Write the last row and the last checkpoint of this session."""
-        self.steps = row["steps"]
-        keep()
         row = self._completed(row)
         self._log.append(row)
+        keep()
         self._on_update(row, self.fraction_done())
+
+    def check(self, numbers: Iterable[Any]) -> None:
+        """Raise :meth:`diverged` unless all numbers and arrays are finite."""
+        if not all(np.isfinite(one).all() for one in numbers):
+            raise self.diverged()
+
+    def diverged(self) -> InputError:
+        """Return the error of a training that is of no more use; what it kept before stays."""
+        rate = self.config.algorithm.learning_rate
+        expected = f"less than {rate:g}, with which the training diverged at step {self.steps:,}"
+        return InputError("train", "algorithm.learning_rate", expected)
 
     def _completed(self, row: Row) -> Row:
         """Complete a row with the clock, and with whether its means are over enough episodes of this session.
@@ -139,6 +157,7 @@ class Run:
         In its first steps only short episodes have ended, and nearly all of those succeeded.
         """
         self.steps = row["steps"]
+        self.check(value for value in row.values() if isinstance(value, float))
         whole_round = self.steps - self._session_steps >= first_round(self.config)
         enough = row["success"] is not None and row["episodes"] >= ENOUGH_EPISODES and whole_round
         clock = {"seconds": round(self.seconds, 4), "preparing": round(self.preparing, 4)}

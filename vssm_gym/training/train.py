@@ -45,11 +45,13 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
         config: checked by :func:`vssm_gym.training.config.load_training`.
         out: new or empty folder, or with ``resume`` that of a training of the same configuration.
         resume: continue from the last checkpoint: parameters, optimiser, steps, seconds, random generators. Running
-            episodes restart, so that an interrupted training is not the same to the last bit.
+            episodes restart, so that an interrupted training is not the same to the last bit. Of a training that has
+            ended no file changes.
         on_update: called after every update with a row of the log and the fraction that is done.
 
     Raises:
-        InputError: the folder of another or of a running training, or an invalid map, scene or keyword.
+        InputError: the folder of another or of a running training, or an invalid map, scene or keyword; a training
+            that diverges, whose last checkpoint and policy are kept.
         OutputError: a full disk or the like; the last checkpoint is kept.
     """
     compiled = config.algorithm.name == "ppo_jax"
@@ -66,10 +68,8 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
         run = Run(config, out, manifest, log, interrupted, on_update or (lambda row, fraction: None))
         if config.algorithm.name == "bc":
             clone(run)
-        elif compiled:
-            _reinforce_compiled(run)
-        else:
-            _reinforce(run)
+        elif not run.finished():
+            (_reinforce_compiled if compiled else _reinforce)(run)
     if interrupted():
         raise KeyboardInterrupt
     return out / POLICY
@@ -78,6 +78,7 @@ def run_training(config: TrainingConfig, out: Path, *, resume: bool = False, on_
 def _reinforce(run: Run) -> None:
     """Train by PPO or SAC."""
     from vssm_gym.training.sb3.learner import (
+        REFUSED,
         layers_of,
         learn,
         make_model,
@@ -102,12 +103,18 @@ def _reinforce(run: Run) -> None:
     env.seed(stream(config.seed, model.num_timesteps))
 
     def keep() -> None:
-        run.write_policy(layers_of(model), "tanh" if config.algorithm.name == "sac" else "clip")
+        run.check(one.detach().numpy() for one in model.policy.parameters())
         save_checkpoint(checkpoint, model, run.seconds)
+        run.write_policy(layers_of(model), "tanh" if config.algorithm.name == "sac" else "clip")
 
     try:
         learn(model, config.steps, lambda now: run.report(_row(now), keep), run.over, run.stepped)
         run.end(_row(training_progress(model)), keep)
+    except ValueError as error:
+        if REFUSED not in str(error):
+            raise
+        run.steps = model.num_timesteps
+        raise run.diverged() from error
     finally:
         model.logger.close()
         env.close()
@@ -126,8 +133,9 @@ def _reinforce_compiled(run: Run) -> None:
         run.begin()
 
     def keep() -> None:
-        run.write_policy(learner.policy_layers(), "clip")
+        run.check(learner.leaves())
         learner.save(checkpoint, run.seconds)
+        run.write_policy(learner.policy_layers(), "clip")
 
     while learner.steps < config.steps and not run.over():
         learner.update(falling_rate(config.algorithm.learning_rate, run.fraction_done()))

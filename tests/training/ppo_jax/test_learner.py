@@ -14,6 +14,7 @@ from tests.helpers.imagined_room import room
 from vssm_gym.agents.policy import policy_file
 from vssm_gym.agents.policy.features import OBSERVED, SIZES, features
 from vssm_gym.errors import InputError
+from vssm_gym.training import run as run_module
 from vssm_gym.training.config import TrainingConfig
 from vssm_gym.training.environment import commands, make_training_env
 from vssm_gym.training.ppo_jax import rollout
@@ -117,9 +118,39 @@ def test_a_training_resumes_where_it_was(map_file, tmp_path):
     learner.save(tmp_path / "again.npz", 1.0)
     one, other = (np.load(p) for p in (tmp_path / "run" / "checkpoint.npz", tmp_path / "again.npz"))
     assert all(np.array_equal(one[name], other[name]) for name in one.files if name != "seconds")
-    run_training(config(map_file, steps=512), tmp_path / "run", resume=True)  # at its end already
+    before = {file: file.read_bytes() for file in (tmp_path / "run").iterdir()}
+    run_training(config(map_file), tmp_path / "run", resume=True)  # at its end already
+    assert {file: file.read_bytes() for file in (tmp_path / "run").iterdir()} == before
     libraries = json.loads((tmp_path / "run" / "training.json").read_text())["libraries"]
     assert "torch" not in libraries
+
+
+def test_a_diverged_training_keeps_what_was_finite(map_file, tmp_path, monkeypatch):
+    for name in ("ROW_SECONDS", "CHECKPOINT_SECONDS"):
+        monkeypatch.setattr(run_module, name, 0.0)
+    algorithm = {"name": "ppo_jax", "n_steps": 16, "batch_size": 64, "n_epochs": 2, "learning_rate": 10.0}
+    wanted = config(map_file, algorithm=algorithm, steps=128 * 30)
+    with pytest.raises(InputError, match=r"learning_rate: expected less than 10, .* the training diverged at step \d"):
+        run_training(wanted, tmp_path)
+    steps = policy_file.load(tmp_path / "policy.npz").spec.trained["steps"]  # which refuses what is not finite
+    assert 0 < steps <= read_progress(tmp_path / "progress.jsonl")[-1]["steps"] < wanted.steps
+    learner = Learner(wanted)
+    learner.restore(tmp_path / "checkpoint.npz")
+    assert learner.steps == steps
+
+
+def test_a_training_that_diverges_in_its_last_update_keeps_nothing_of_it(map_file, tmp_path, monkeypatch):
+    """Its statistics are of the network before, and finite."""
+    improve = Learner.update
+
+    def diverge(learner, rate):
+        improve(learner, rate)
+        learner._network = jax.tree.map(lambda array: jnp.nan * array, learner._network)
+
+    monkeypatch.setattr(Learner, "update", diverge)
+    with pytest.raises(InputError, match="the training diverged at step 128"):
+        run_training(config(map_file, steps=128), tmp_path)
+    assert not list(tmp_path.glob("*.npz"))
 
 
 def test_a_damaged_checkpoint_is_refused(map_file, tmp_path):

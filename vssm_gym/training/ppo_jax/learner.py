@@ -100,9 +100,13 @@ class Learner:
         """Return ``(weight, bias)`` of each layer from observation to action, float32."""
         return self._network.policy_layers()
 
+    def leaves(self) -> list[Array]:
+        """Return the arrays of networks, optimiser and random key, which a checkpoint holds."""
+        return jax.tree.leaves(eqx.filter(self._state(), eqx.is_array))
+
     def save(self, path: Path, seconds: float) -> None:
         """Save what a training resumes from: networks, optimiser, random key, steps, seconds; whole or not at all."""
-        arrays = {f"leaf{i}": np.asarray(leaf) for i, leaf in enumerate(self._leaves())}
+        arrays = {f"leaf{i}": np.asarray(leaf) for i, leaf in enumerate(self.leaves())}
         with atomic_write(path) as temporary, temporary.open("wb") as file:
             np.savez(file, steps=np.int64(self.steps), seconds=np.float64(seconds), **arrays)  # type: ignore[arg-type]
 
@@ -112,7 +116,7 @@ class Learner:
         Raises :class:`InputError` for a file that is not such a checkpoint.
         """
         expected = "a checkpoint of this training, which `vssm-gym train` wrote"
-        leaves = self._leaves()
+        leaves = self.leaves()
         with open_npz(open_file(path), path, CHECKPOINT_BYTES, expected) as stored:
             wanted = {f"leaf{i}": leaf.shape for i, leaf in enumerate(leaves)} | {"steps": (), "seconds": ()}
             if stored.shapes != wanted:
@@ -132,9 +136,6 @@ class Learner:
 
     def _state(self) -> tuple[ActorCritic, Any, Array]:
         return self._network, self._optimised, jax.random.key_data(self._key)
-
-    def _leaves(self) -> list[Array]:
-        return jax.tree.leaves(eqx.filter(self._state(), eqx.is_array))
 
 
 @eqx.filter_jit(donate="all-except-first")

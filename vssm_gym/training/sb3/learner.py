@@ -29,6 +29,7 @@ from vssm_gym.training.sb3.vec_env import SB3VecEnv
 
 ACTIVATIONS = {"tanh": nn.Tanh, "relu": nn.ReLU}
 COUNTERS = ("num_timesteps", "_n_updates")  # what a checkpoint restores by name, and nothing else
+REFUSED = "found invalid values"  # in torch's error, of a density of a network that has diverged
 REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
