@@ -15,7 +15,8 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.row import DEFAULTS, KEY, identified
 from vssm_gym.eval.metrics import resampling
 from vssm_gym.eval.metrics.metric import Row, check_name
-from vssm_gym.eval.metrics.resampling import Bounds, Scores
+from vssm_gym.eval.metrics.registry import within
+from vssm_gym.eval.metrics.resampling import FEW_TASKS, Bounds, Scores
 from vssm_gym.eval.metrics.training_runs import run_of
 
 # Fields that the two episodes of a pair share.
@@ -38,6 +39,10 @@ class Interval:
             return "-"
         mean, low, high = (f"{value:z.{digits}f}" for value in (self.mean, self.low, self.high))  # z: no "-0.00"
         return f"{mean} [{low}, {high}]" if np.isfinite(self.low) else f"{mean} [-]"
+
+    def times(self, factor: float) -> "Interval":
+        """Return the interval in another unit, ``factor`` > 0 of which are one of this."""
+        return replace(self, mean=factor * self.mean, low=factor * self.low, high=factor * self.high)
 
 
 def bootstrap_mean(
@@ -82,19 +87,22 @@ def mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
     """Compute the mean of ``metric`` over the tasks of ``rows``; episodes that lack it (None) are left out."""
     present = having(rows, metric)
     values = [float(row[metric]) for row in present]
-    return bootstrap_mean(values, list(map(task_key, present)), seed, list(map(run_of, present)))
+    return bootstrap_mean(values, list(map(task_key, present)), seed, list(map(run_of, present)), within(metric))
 
 
 def interquartile_mean(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
     """Compute the mean of the middle half of all scores, over tasks and runs together (Agarwal et al., 2021).
 
-    It leaves out the worst and the best quarter of the episodes, so that few outliers move it less than the mean.
+    It leaves out the worst and the best quarter of the episodes, so that few outliers move it less than the mean. Its
+    interval allows for few tasks as the mean's does. Over many tasks that all scored one end of the range it has no
+    width: the rest, which no task met, is less than the quarter that is left out.
     """
     present = having(rows, metric)
     if not present:
         return Interval(np.nan, np.nan, np.nan, 0, 0)
     found = scores_of(present, metric)
-    return _interval(resampling.bootstrap(resampling.interquartile_mean, found, seed), found)
+    ends = within(metric) if found.tasks < FEW_TASKS else None
+    return _interval(resampling.bootstrap(resampling.interquartile_mean, found, seed, within=ends), found)
 
 
 def profile(rows: Iterable[Row], metric: str, levels: Float[np.ndarray, "n"], seed: int = 0) -> Bounds:
@@ -142,10 +150,11 @@ def paired_difference(
     """
     keys, first, second = _shared(rows, metric, agent, reference, by)
     tasks = [task for task, _ in keys]
+    ends = (known[0] - known[1], known[1] - known[0]) if (known := within(metric)) else None
     if all(len(runs) == 1 for runs in (*first, *second)):  # episodes with equal values then differ by 0 exactly
-        return bootstrap_mean(_differences(first, second), tasks, seed)
+        return bootstrap_mean(_differences(first, second), tasks, seed, within=ends)
     of, minus = (resampling.cells(_of_method(each, tasks)) for each in (first, second))
-    return replace(_interval(resampling.bootstrap(resampling.mean, of, seed, minus), of), episodes=len(keys))
+    return replace(_interval(resampling.bootstrap(resampling.mean, of, seed, minus, ends), of), episodes=len(keys))
 
 
 def paired_values(

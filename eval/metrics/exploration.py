@@ -9,6 +9,7 @@ where a number is needed it takes the value that is least favourable to the agen
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -18,6 +19,7 @@ from vssm_gym.eval.episodes.row import identified
 from vssm_gym.eval.metrics.aggregate import CONDITION, Interval, bootstrap_mean, task_key
 from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.resampling import RESAMPLES
+from vssm_gym.eval.metrics.training_runs import run_of
 
 COVERAGE_LEVELS = (50, 90, 95, 99)  # % of coverage, to which path length and time are measured
 COVERAGE_GOAL = 90  # % of coverage: a run that reaches it succeeds
@@ -101,7 +103,7 @@ class Ratio:
     interval: Interval  # of the ratio; NaN without a pair that has one
     pairs: int
     shorter: int  # pairs in which the first reached the level on a shorter path, or alone
-    first_missed: int  # runs of the first that did not reach the level
+    first_missed: int  # pairs whose run of the first did not reach the level
     second_missed: int
 
     @property
@@ -119,7 +121,7 @@ def ratio(
     """
     paired = pairs(rows, first, second)
     found = [(a, b, value) for a, b in paired if (value := censored_ratio(a, b, level, axis)) is not None]
-    logs = bootstrap_mean([math.log(v) for _, _, v in found], clusters([a for a, _, _ in found]), seed)
+    logs = _mean([math.log(value) for _, _, value in found], [(a, b) for a, b, _ in found], seed)
     mean, low, high = (float(np.exp(v)) for v in (logs.mean, logs.low, logs.high))
     return Ratio(
         Interval(mean, low, high, logs.tasks, logs.episodes),
@@ -131,13 +133,21 @@ def ratio(
 
 
 def pairs(rows: Iterable[Row], first: str, second: str) -> list[tuple[Row, Row]]:
-    """Pair the runs of two agents from the same start of the same scene under the same noise."""
+    """Pair the runs of two agents from the same start of the same scene under the same noise.
+
+    Of a method with several policies each of them is paired.
+    """
     names = (*CONDITION, "task", "seed")
-    of: dict[str, dict[tuple, Row]] = {first: {}, second: {}}
+    of: dict[str, dict[tuple, list[Row]]] = {first: {}, second: {}}
     for row in rows:
         if row["agent"] in of:
-            of[row["agent"]][tuple(identified(row, name) for name in names)] = row
-    return [(row, of[second][key]) for key, row in of[first].items() if key in of[second]]
+            of[row["agent"]].setdefault(tuple(identified(row, name) for name in names), []).append(row)
+    return [pair for key, ran in of[first].items() if key in of[second] for pair in product(ran, of[second][key])]
+
+
+def _mean(values: Sequence[float], of: Sequence[tuple[Row, Row]], seed: int) -> Interval:
+    """Compute the mean over pairs, resampling :func:`clusters`, and the policies of the first that has several."""
+    return bootstrap_mean(values, clusters([a for a, _ in of]), seed, [run_of(a) or run_of(b) for a, b in of])
 
 
 def clusters(rows: Sequence[Row]) -> list[Hashable]:
@@ -224,4 +234,4 @@ def paired_at(
     grid = np.array([where])
     values = [float((at(a, name, axis, grid) - at(b, name, axis, grid))[0]) for a, b in paired]
     kept = [i for i, value in enumerate(values) if math.isfinite(value)]
-    return bootstrap_mean([values[i] for i in kept], clusters([paired[i][0] for i in kept]), seed)
+    return _mean([values[i] for i in kept], [paired[i] for i in kept], seed)

@@ -26,6 +26,8 @@ class Metric:
         compared: those of them that show its paired differences.
         proportion: whether it is a boolean, shown in % with the interval of a proportion.
         score: whether it lies in [0, 1] and reports show its interquartile mean and its profile as well.
+        within: the least and the largest value that it can have, for intervals over few tasks; None: not known, or
+            [0, 1] by ``proportion`` or ``score``.
     """
 
     function: Callable[[Row], Value]
@@ -37,6 +39,7 @@ class Metric:
     compared: tuple[str, ...] = ()
     proportion: bool = False
     score: bool = False
+    within: tuple[float, float] | None = None
 
 
 def stored(field: str, factor: float = 1.0) -> Callable[[Row], Value]:

@@ -3,6 +3,8 @@
 A bootstrap of zeros gives [0, 0], however few they are. Here the interval of 0 of n reaches to about 3.7 / n. The unit
 is the task, as in :mod:`vssm_gym.eval.metrics.aggregate`: n tasks with several episodes each count as n trials whose
 successes are the tasks' mean proportions, which is exact for one episode a task and conservative for more.
+
+The runs of a training are no such trials: where a method has several, tasks and runs are resampled together instead.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,8 +13,10 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
-from vssm_gym.eval.metrics.aggregate import Interval, paired_values, task_key
-from vssm_gym.eval.metrics.metric import Row, check_name
+from vssm_gym.eval.episodes.row import identified
+from vssm_gym.eval.metrics.aggregate import Interval, having, mean, paired_difference, paired_values, task_key
+from vssm_gym.eval.metrics.metric import Row
+from vssm_gym.eval.metrics.training_runs import has_several
 
 TAIL = 0.025  # probability beyond either end of an interval of 95 %
 
@@ -48,26 +52,33 @@ def tango(gained: float, lost: float, n: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def percent(rows: Iterable[Row], metric: str) -> Interval:
-    """Compute the proportion of episodes with the boolean ``metric``, in %, with Clopper and Pearson's interval."""
-    check_name(metric)
-    by_task: dict[object, list[float]] = {}
-    for row in rows:
-        if row.get(metric) is not None:
-            by_task.setdefault(task_key(row), []).append(float(row[metric]))
-    values = [value for task in by_task.values() for value in task]
-    if not values:
+def percent(rows: Iterable[Row], metric: str, seed: int = 0) -> Interval:
+    """Compute the proportion of episodes with the boolean ``metric``, in %, with Clopper and Pearson's interval.
+
+    Of several runs of a training, with the bootstrap's; ``seed`` is of its resampling.
+    """
+    present = having(rows, metric)
+    if not present:
         return Interval(np.nan, np.nan, np.nan, 0, 0)
-    proportion, n = float(np.mean(values)), len(by_task)
+    if has_several(present):
+        return mean(present, metric, seed).times(100.0)
+    values, n = [float(row[metric]) for row in present], len(set(map(task_key, present)))
+    proportion = float(np.mean(values))
     low, high = clopper_pearson(proportion * n, n)
     return Interval(100.0 * proportion, 100.0 * low, 100.0 * high, n, len(values))
 
 
-def paired_percent(rows: Iterable[Row], metric: str, first: str, second: str, by: str = "agent") -> Interval:
+def paired_percent(
+    rows: Iterable[Row], metric: str, first: str, second: str, seed: int = 0, by: str = "agent"
+) -> Interval:
     """Compute ``first - second`` in points of % over episodes that both ran, with Tango's interval.
 
-    Raises like :func:`vssm_gym.eval.metrics.aggregate.paired_difference`.
+    Where one of them has several runs, with that of :func:`vssm_gym.eval.metrics.aggregate.paired_difference`. Raises
+    like it.
     """
+    rows = list(rows)
+    if any(has_several(row for row in rows if identified(row, by) == name) for name in (first, second)):
+        return paired_difference(rows, metric, first, second, seed, by).times(100.0)
     differences, tasks = paired_values(rows, metric, first, second, by)
     n = len(set(tasks))
     weight = n / len(differences)

@@ -58,9 +58,20 @@ def _on_its_map(field: str, factor: float) -> Any:
 
 NAVIGATION, CAR, EXPLORE = ("navigation",), ("car",), ("explore",)
 EVERY = (*NAVIGATION, *CAR, *EXPLORE)
+SHARE_RANGE = (0.0, 1.0)  # of scores and proportions
+PERCENT_RANGE = (0.0, 100.0)  # of proportions times 100
 METRICS: dict[str, Metric] = {
     "spl": Metric(_spl, "SPL", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION, score=True),
-    "success": Metric(stored("success"), "success", 2, "higher", NAVIGATION, headline=NAVIGATION, compared=NAVIGATION),
+    "success": Metric(
+        stored("success"),
+        "success",
+        2,
+        "higher",
+        NAVIGATION,
+        headline=NAVIGATION,
+        compared=NAVIGATION,
+        within=SHARE_RANGE,
+    ),
     "soft_spl": Metric(stored("soft_spl"), "SoftSPL", 2, "higher", NAVIGATION, compared=NAVIGATION, score=True),
     "steps": Metric(stored("steps"), "steps", 0, "lower", NAVIGATION),
     "collisions": Metric(stored("collisions"), "collisions", 1, "lower", NAVIGATION),
@@ -71,10 +82,18 @@ METRICS: dict[str, Metric] = {
     "covered_99": Metric(_covered_99, "covered 99 %", 1, "higher", EXPLORE, proportion=True),
     **{f"metres_{level}": _metres(level) for level in (50, 90, 95, 99)},
     "seconds_90": Metric(stored("seconds_90"), "s to 90 %", 1, "lower", EXPLORE),
-    "coverage_percent": Metric(stored("coverage", 100.0), "coverage %", 1, "higher", EXPLORE, compared=EXPLORE),
+    "coverage_percent": Metric(
+        stored("coverage", 100.0), "coverage %", 1, "higher", EXPLORE, compared=EXPLORE, within=PERCENT_RANGE
+    ),
     "known": Metric(stored("entropy", -1e-3), "information, 10^3 nats", 1, "higher", EXPLORE, compared=EXPLORE),
     "complete_percent": Metric(
-        stored("completeness", 100.0), "surface complete %", 1, "higher", EXPLORE, compared=EXPLORE
+        stored("completeness", 100.0),
+        "surface complete %",
+        1,
+        "higher",
+        EXPLORE,
+        compared=EXPLORE,
+        within=PERCENT_RANGE,
     ),
     "accuracy_cm": Metric(stored("accuracy", 100.0), "mesh accuracy cm", 2, "lower", EXPLORE),
     "completion_cm": Metric(stored("completion", 100.0), "mesh completion cm", 2, "lower", EXPLORE, compared=EXPLORE),
@@ -95,15 +114,29 @@ METRICS: dict[str, Metric] = {
     ),
     "location_error_final": Metric(stored("location_error_final"), "final error m", 3, "lower", NAVIGATION),
     "nees": Metric(stored("nees"), "NEES / dim", 2, "neither", EVERY),
-    "in_95": Metric(stored("in_95"), "inside 95 %", 2, "neither", EVERY),
+    "in_95": Metric(stored("in_95"), "inside 95 %", 2, "neither", EVERY, within=SHARE_RANGE),
     "control_p50_ms": Metric(_decision("p50"), "control p50 ms", 1, "lower", CAR),
     "control_p95_ms": Metric(_decision("p95"), "control p95 ms", 1, "lower", CAR, headline=CAR),
     "navigation_success": Metric(
-        _on_its_map("success", 100.0), "navigation success %", 0, "higher", EXPLORE, compared=EXPLORE
+        _on_its_map("success", 100.0),
+        "navigation success %",
+        0,
+        "higher",
+        EXPLORE,
+        compared=EXPLORE,
+        within=PERCENT_RANGE,
     ),
-    "navigation_spl": Metric(_on_its_map("spl", 1.0), "navigation SPL", 2, "higher", EXPLORE),
+    "navigation_spl": Metric(_on_its_map("spl", 1.0), "navigation SPL", 2, "higher", EXPLORE, within=SHARE_RANGE),
     "decision_p95_ms": Metric(_decision("p95"), "decision p95 ms", 0, "lower", EXPLORE),
 }
+
+
+def within(name: str) -> tuple[float, float] | None:
+    """Return the range of a metric; None where it is not known, as of a field of rows that is no metric."""
+    metric = METRICS.get(name)
+    if metric is None:
+        return None
+    return SHARE_RANGE if metric.proportion or metric.score else metric.within
 
 
 def shown_in(report: str) -> Mapping[str, Metric]:

@@ -124,7 +124,8 @@ def bootstrap(
         seed: of the resampling; equal seeds give equal intervals.
         minus: the scores of another method on the same tasks, with equal indices: each task is drawn for both, and
             each method's runs apart.
-        within: the least and the largest value that a score, and so the statistic, can have; None: not known.
+        within: the least and the largest value that a score, and so the statistic, can have, or a difference of two
+            scores; None: not known.
     """
     groups = [of] if minus is None else [of, minus]
     signs = (1.0, -1.0)[: len(groups)]

@@ -39,6 +39,11 @@ def by_method(rows: Iterable[Row]) -> list[dict[str, Any]]:
     return found
 
 
+def has_several(rows: Iterable[Row]) -> bool:
+    """Return whether rows belong to several training runs."""
+    return len(set(map(run_of, rows))) > 1
+
+
 def run_of(row: Row) -> str:
     """Return the label of the policy of a row that belongs to a method of several; empty for any other."""
     return str(row.get(RUN, ""))

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vssm_gym.eval.metrics import exploration, proportions
-from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean, group_rows
+from vssm_gym.eval.metrics import exploration
+from vssm_gym.eval.metrics.aggregate import Interval, bootstrap_mean, group_rows, having
 from vssm_gym.eval.metrics.exploration import COVERAGE_GOAL, COVERAGE_LEVELS, Axis, Ratio
 from vssm_gym.eval.metrics.metric import Row
+from vssm_gym.eval.metrics.training_runs import run_of
 from vssm_gym.eval.report.tables import Measures, pooled
 from vssm_gym.viz.html import Table
 
@@ -47,16 +48,17 @@ def headline(rows: Sequence[Row], seed: int) -> Table:
         line = [*group, str(len(members)), str(len({row["scene_hash"] for row in members}))]
         line += [median_text(exploration.median_to_level(members, level, seed)) for level in COVERAGE_LEVELS]
         line += [median_text(exploration.median_to_level(members, COVERAGE_GOAL, seed, "seconds"))]
-        line += [proportions.percent(members, name).text(1) for name in ("covered_90", "covered_99", "collided")]
+        line += [EXPLORE.mean(members, name, seed) for name in ("covered_90", "covered_99", "collided")]
         line += [EXPLORE.text(name, over_scenes(members, name, seed)) for name in shown]
         lines.append(line)
     return Table(header, lines, len(by))
 
 
 def over_scenes(rows: Sequence[Row], name: str, seed: int) -> Interval:
-    """Compute the mean over runs, resampling scenes; runs that lack the value are left out."""
-    present = [row for row in rows if row.get(name) is not None]
-    return bootstrap_mean([float(row[name]) for row in present], exploration.clusters(present), seed)
+    """Compute the mean over runs, resampling scenes and policies; runs that lack the value are left out."""
+    present = having(rows, name)
+    values = [float(row[name]) for row in present]
+    return bootstrap_mean(values, exploration.clusters(present), seed, list(map(run_of, present)))
 
 
 def median_text(interval: Interval) -> str:
@@ -193,13 +195,9 @@ def at_equal(points: Sequence[PointComparison]) -> Table:
             point.other,
             f"{point.where:g} {point.unit}",
             f"{point.coverage.episodes} of {point.pairs}",
-            _scaled(point.entropy, 1e-3),
-            _scaled(point.coverage, 100.0),
+            point.entropy.times(1e-3).text(1),
+            point.coverage.times(100.0).text(1),
         ]
         for point in points
     ]
     return Table(["other agent", "at", "pairs known", "entropy, 10^3 nats", "coverage, %"], lines, 1)
-
-
-def _scaled(d: Interval, factor: float) -> str:
-    return Interval(factor * d.mean, factor * d.low, factor * d.high, d.tasks, d.episodes).text(1)

@@ -60,9 +60,8 @@ class Criterion:
 def by_metric(name: str, best: str = "", unit: str = "") -> Criterion:
     """Return the criterion of a metric's mean, or of its proportion in %."""
     metric = METRICS[name]
-    mean: Measure = lambda rows, seed: aggregate.mean(rows, name, seed)
-    percent: Measure = lambda rows, seed: proportions.percent(rows, name)
-    value = percent if metric.proportion else mean
+    of = proportions.percent if metric.proportion else aggregate.mean
+    value: Measure = lambda rows, seed: of(rows, name, seed)
     return Criterion(metric.label, best, unit, metric.digits, metric.direction == "higher", value)
 
 
@@ -88,11 +87,9 @@ def paired_difference(name: str) -> Comparison:
     """Return a comparison by the paired difference of a metric, over the episodes that both agents ran."""
 
     def compare(rows: Sequence[Row], first: str, second: str, seed: int) -> Versus | None:
+        paired = proportions.paired_percent if METRICS[name].proportion else aggregate.paired_difference
         try:
-            if METRICS[name].proportion:
-                found = proportions.paired_percent(rows, name, first, second, "agent")
-            else:
-                found = aggregate.paired_difference(rows, name, first, second, seed)
+            found = paired(rows, name, first, second, seed)
         except InputError:  # they share no episode
             return None
         return _versus(found, METRICS[name].digits + 1, 0.0)

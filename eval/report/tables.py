@@ -44,8 +44,8 @@ class Measures:
 
     def mean(self, rows: Sequence[Row], name: str, seed: int) -> str:
         """Format the mean and 95 % interval of a metric as a cell."""
-        proportion = self.metrics[check_name(name)].proportion
-        return self.text(name, proportions.percent(rows, name) if proportion else aggregate.mean(rows, name, seed))
+        value = proportions.percent if self.metrics[check_name(name)].proportion else aggregate.mean
+        return self.text(name, value(rows, name, seed))
 
     def columns(self, names: Sequence[str]) -> dict[str, Callable[[Sequence[Row], int], str]]:
         """Return the heading of each column, and what formats its cells from rows and a seed.
@@ -74,9 +74,8 @@ class Measures:
     ) -> Interval | None:
         """Compute the paired difference ``first - second`` of a metric; None where no shared episode has it."""
         try:
-            if self.metrics[name].proportion:
-                return proportions.paired_percent(rows, name, first, second, by)
-            return aggregate.paired_difference(rows, name, first, second, seed, by)
+            paired = proportions.paired_percent if self.metrics[name].proportion else aggregate.paired_difference
+            return paired(rows, name, first, second, seed, by)
         except InputError:
             return None
 

@@ -8,6 +8,7 @@ import pytest
 from tests.helpers.explore_runs import STEP, STEPS, run
 from vssm_gym.eval.metrics import exploration as metrics
 from vssm_gym.eval.metrics.exploration import Recorder, at, censored_ratio, mean_curve, median, median_to_level, ratio
+from vssm_gym.eval.metrics.training_runs import by_method
 
 BUDGET = STEPS * STEP
 
@@ -126,6 +127,22 @@ def test_more_starts_in_a_scene_do_not_narrow_the_interval_over_scenes():
     many = ratio(grid_of_runs({"oak": [(10.0, 20.0)] * 50, "elm": [(9.0, 10.0)] * 50}), "a", "b").interval
     assert (many.low, many.high) == pytest.approx((few.low, few.high))
     assert many.episodes == 100
+
+
+def test_every_policy_of_a_method_is_compared_and_resampled():
+    """Policies that need 10, 20 and 40 m, against 20 m: the last alone would be twice as long, and without doubt."""
+    starts = [(scene, task) for scene in ("oak", "elm", "fir") for task in range(2)]
+    rows = [run(f"p@0000000{k}", 10.0 * 2**k, scene=s, task=t) for k in range(3) for s, t in starts]
+    rows = by_method([*rows, *(run("b", 20.0, scene=s, task=t) for s, t in starts)])
+    found = ratio(rows, "p (3 seeds)", "b")
+    assert found.interval.mean == pytest.approx(1.0)
+    assert (found.pairs, found.shorter, found.interval.tasks) == (18, 6, 3)
+    assert found.interval.low < 0.6 < 1.7 < found.interval.high
+    back = ratio(rows, "b", "p (3 seeds)").interval
+    assert (back.low, back.high) == pytest.approx((1.0 / found.interval.high, 1.0 / found.interval.low), rel=0.1)
+    covered = metrics.paired_at(rows, "coverage", "p (3 seeds)", "b", 5.0)
+    assert covered.mean == pytest.approx((0.45 + 0.225 + 0.1125) / 3 - 0.225, abs=1e-3)
+    assert covered.low < 0.0 < covered.high
 
 
 def test_missed_runs_are_counted_and_pairs_without_a_path_length_are_left_out():

@@ -9,7 +9,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, read_rows
 from vssm_gym.eval.episodes.row import RENAMED_FIELDS
 from vssm_gym.eval.metrics import aggregate, navigation, proportions
-from vssm_gym.eval.metrics.registry import METRICS, measured, shown_in
+from vssm_gym.eval.metrics.registry import METRICS, measured, shown_in, within
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import summary
 from vssm_gym.eval.report.tables import Measures, results
@@ -31,6 +31,8 @@ def test_a_metric_has_a_value_in_some_stored_row_and_equals_the_stored_one(name)
             said += 1
             assert isinstance(value, bool) or not metric.proportion
             assert math.isfinite(value)
+            least, most = within(name) or (-math.inf, math.inf)
+            assert least <= value <= most
             if source in STORED and row.get(name) is not None:
                 assert value == pytest.approx(row[name], abs=1.01e-4)  # kept to four digits
     assert said

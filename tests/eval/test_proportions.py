@@ -7,7 +7,9 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from vssm_gym.errors import InputError
+from vssm_gym.eval.metrics.aggregate import mean, paired_difference
 from vssm_gym.eval.metrics.proportions import clopper_pearson, paired_percent, percent, tango
+from vssm_gym.eval.metrics.training_runs import by_method
 
 
 def episode(task, value, agent="vi_mpc", physics="mujoco", seed=0):
@@ -78,6 +80,39 @@ def test_laws_of_the_paired_interval(n, data):
     low, high = tango(b, c, n)
     assert -1.0 <= low <= (b - c) / n <= high <= 1.0
     assert tango(c, b, n) == pytest.approx((-high, -low), abs=1e-6)  # the other way round
+
+
+def policies(collided):
+    """Return rows of policies that collided where ``collided[run, task]``, and of ``astar``, which always did."""
+    rows = [episode(t, bool(s), f"p@{r:08x}") for r, of_run in enumerate(collided) for t, s in enumerate(of_run)]
+    return by_method([*rows, *(episode(t, True, "astar") for t in range(collided.shape[1]))])
+
+
+def test_policies_whose_events_differ_from_task_to_task_differ_from_an_agent_that_always_has_them():
+    rows = policies(np.arange(3)[:, None] != np.arange(21) % 3)
+    found = paired_percent(rows, "collided", "p (3 seeds)", "astar")
+    assert found.mean == pytest.approx(-100.0 / 3.0)
+    assert found.low < found.mean < found.high < 0.0
+    assert found == paired_difference(rows, "collided", "p (3 seeds)", "astar").times(100.0)
+    back = paired_percent(rows, "collided", "astar", "p (3 seeds)")
+    assert back.low > 0.0 and back.mean == pytest.approx(-found.mean)
+
+
+def test_one_policy_of_three_that_differs_everywhere_leaves_the_method_open():
+    """Three trainings say little of a fourth, however many tasks they ran."""
+    rows = policies(np.repeat([[True], [True], [False]], 20, axis=1))
+    alone, pair = percent(rows[:60], "collided"), paired_percent(rows, "collided", "p (3 seeds)", "astar")
+    assert alone == mean(rows[:60], "collided").times(100.0)
+    assert (alone.mean, pair.mean) == pytest.approx((200.0 / 3.0, -100.0 / 3.0))
+    assert (alone.low, alone.high) == (0.0, 100.0)
+    assert (pair.low, pair.high) == (-100.0, 0.0)
+
+
+def test_one_policy_has_the_interval_of_a_proportion():
+    rows = policies(np.array([[True] * 18 + [False] * 2]))
+    assert percent(rows[:20], "collided").low == pytest.approx(100.0 * clopper_pearson(18, 20)[0])
+    found = paired_percent(rows, "collided", rows[0]["agent"], "astar")
+    assert (found.low, found.high) == pytest.approx([100.0 * end for end in tango(0, 2, 20)])
 
 
 def test_missing_values_and_missing_partners():
