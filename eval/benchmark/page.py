@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from vssm_gym.eval.benchmark.machine import described
-from vssm_gym.eval.benchmark.results import Manifest, Place, Table
+from vssm_gym.eval.benchmark.results import Manifest, Part, Place, Table
 from vssm_gym.eval.benchmark.suite import DrivingTrack
 from vssm_gym.eval.benchmark.times import Took
 from vssm_gym.viz.text import shortened, visible
@@ -22,9 +22,9 @@ def markdown(
     parts = [f"# Benchmark {_text(own.suite)}\n", f"Entries: {', '.join(_text(one.label) for one in own.entries)}.\n"]
     parts += [_section(table) for table in tables]
     parts.append("## How it was made\n")
-    lines = [("this run", own.suite_hash, own.version, described(own.machine), _load(own))]
-    lines += [("references", one.suite_hash, one.version, described(one.machine), _load(one)) for one in references]
-    lines = list(dict.fromkeys(lines))
+    runs = [("this run", own), *(("references", one) for one in references)]
+    made = lambda part: (part.version, described(part.machine), _load(part))
+    lines = list(dict.fromkeys((rows, of.suite_hash, *made(part)) for rows, of in runs for part in of.parts))
     parts.append(
         _table(["rows", "hash of the suite", "version", "machine", "load"], [list(map(_text, one)) for one in lines])
     )
@@ -36,8 +36,8 @@ def markdown(
     return "\n".join(parts).rstrip() + "\n"
 
 
-def _load(manifest: Manifest) -> str:
-    return "-" if manifest.load is None else f"{manifest.load:.1f}"
+def _load(part: Part) -> str:
+    return "-" if part.load is None else f"{part.load:.1f}"
 
 
 def _section(table: Table) -> str:

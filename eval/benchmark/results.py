@@ -1,6 +1,6 @@
 """Read the rows of a benchmark's folder, of this run or of the committed references, and rank their entries."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +13,7 @@ from vssm_gym.envs.validation import StrictModel, validated
 from vssm_gym.errors import InputError
 from vssm_gym.eval.bench.prediction.run import HORIZONS
 from vssm_gym.eval.bench.slam import FRAME_RATE
-from vssm_gym.eval.benchmark.scores import SCORES, Line, Score, line
+from vssm_gym.eval.benchmark.scores import NOT_RUN, SCORES, Line, Score, line
 from vssm_gym.eval.benchmark.suite import DrivingTrack, PredictionTrack, SlamTrack, Suite, Track
 from vssm_gym.eval.benchmark.units import ROWS, UnitRow
 from vssm_gym.eval.episodes.log import FILE
@@ -41,8 +41,16 @@ class Entrant(StrictModel):
     tracks: tuple[str, ...]
 
 
+class Part(StrictModel):
+    """Hold by which version and where a part of a run was made."""
+
+    version: str
+    machine: dict[str, Any]
+    load: float | None = None  # processes that ran or waited when it began: times on a busy machine are longer
+
+
 class Manifest(StrictModel):
-    """Hold what a benchmark's folder states: suite, hashes of its tracks, entries, version and machine."""
+    """Hold what a benchmark's folder states: suite, hashes of its tracks, entries, and what has run it."""
 
     suite: str
     suite_hash: str
@@ -50,7 +58,13 @@ class Manifest(StrictModel):
     entries: tuple[Entrant, ...]
     version: str
     machine: dict[str, Any]
-    load: float | None = None  # processes that ran or waited when it began: times on a busy machine are longer
+    load: float | None = None
+    resumed: tuple[Part, ...] = ()  # that have run what the one before has left
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Return all parts, the first one first."""
+        return Part(version=self.version, machine=self.machine, load=self.load), *self.resumed
 
 
 @dataclass(frozen=True)
@@ -61,9 +75,10 @@ class Place:
         line: of the entry.
         entrant: the entry.
         rank: from 1, the same for equal scores with as many faults; None of an entry that is not ranked, because it is
-            given the true pose where others estimate it.
+            given the true pose where others estimate it, or has no score yet.
         reference: whether it is of the committed references.
-        steady: whether no more processes ran or waited than there are cores when its run began: times are its own.
+        steady: whether no more processes ran or waited than there are cores when its run began, or went on: times are
+            its own.
     """
 
     line: Line
@@ -161,8 +176,15 @@ def _lines(name: str, track: Track, folder: Path, manifest: Manifest) -> list[tu
 
 
 def _steady(manifest: Manifest) -> bool:
-    """Return whether the machine of a run had a core for each of its processes when it began."""
-    return manifest.load is not None and manifest.load < (manifest.machine["cores"] or 0)
+    """Return whether the machines of a run had a core for each of their processes when its parts began."""
+    return all(part.load is not None and part.load < (part.machine["cores"] or 0) for part in manifest.parts)
+
+
+def unfinished(suite: Suite, out: Path, names: Iterable[str]) -> bool:
+    """Return whether the run in a folder has left rows of some tracks."""
+    own = read_manifest(out)
+    found = [_lines(name, suite.tracks[name], out, own) for name in names]
+    return any(not lines or any(NOT_RUN in one.faults for one, _ in lines) for lines in found)
 
 
 def left_out(found: Sequence[Table], manifest: Manifest) -> list[str]:
@@ -208,11 +230,12 @@ def _placed(lines: Sequence[tuple[Line, Entrant, bool, bool]], track: Track) -> 
     """Rank lines by their score, of equal ones by their faults; those that do not count stand after the others."""
     sign = -1.0 if score_of(track).direction == "higher" else 1.0
     apart = isinstance(track, DrivingTrack) and track.pose == "estimated"
-    worth = lambda found: (sign * found[0].score.mean, sum(found[0].faults.values()))
-    order = sorted(lines, key=lambda found: (apart and found[1].needs_pose, *worth(found)))
-    values, places = [worth(found) for found in order], []
+    unranked = lambda found, entrant: np.isnan(found.score.mean) or (apart and entrant.needs_pose)
+    worth = lambda found: (sign * found.score.mean, sum(found.faults.values()))
+    order = sorted(lines, key=lambda one: (unranked(*one[:2]), *worth(one[0])))
+    values, places = [worth(one[0]) for one in order], []
     for found, entrant, reference, steady in order:
-        rank = None if apart and entrant.needs_pose else 1 + values.index(worth((found,)))
+        rank = None if unranked(found, entrant) else 1 + values.index(worth(found))
         places.append(Place(found, entrant, rank, reference, steady))
     return tuple(places)
 

@@ -1,11 +1,11 @@
 """Run a suite for some entries, and write the tables: ``vssm-gym benchmark SUITE --entry ENTRY --out DIR``.
 
-The folder holds ``benchmark.json`` (suite, entries, version, machine), a folder a track, and ``results.json`` and
+The folder holds ``benchmark.json`` (suite, entries, versions, machines), a folder a track, and ``results.json`` and
 ``results.md``. The folder of a driving track is that of a sweep, which ``vssm-gym report`` shows.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from vssm_gym.agents.registry import agent_type
@@ -19,6 +19,7 @@ from vssm_gym.eval.benchmark.results import (
     MANIFEST,
     Entrant,
     Manifest,
+    Part,
     as_json,
     check_entries,
     differing_content,
@@ -26,6 +27,7 @@ from vssm_gym.eval.benchmark.results import (
     read_manifest,
     references_of,
     tables,
+    unfinished,
     without_references,
 )
 from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
@@ -94,13 +96,13 @@ def run_benchmark(
     )
     content = manifest.model_dump(mode="json")
     owner = Owner("benchmark", MANIFEST, content, identity=("suite_hash", "entries"), resumed=tuple(suite.tracks))
-    notices: list[str] = []
     check_entries(out, manifest)
     with owned_folder(out, owner, resume):
+        _keep_part(suite, out, manifest.parts[0], chosen)
         for name, entering in chosen.items():
             with timed(out, name):
                 _run_track(suite, suite_path.parent, name, entering, out / name, workers, on_progress)
-        return _write(suite, out, manifest, notices)
+        return _write(suite, out)
 
 
 def _entrant(entry: Entry, suite: Suite) -> Entrant:
@@ -114,6 +116,15 @@ def _entrant(entry: Entry, suite: Suite) -> Entrant:
         code=entry.code,
         tracks=entry.tracks(suite),
     )
+
+
+def _keep_part(suite: Suite, out: Path, part: Part, names: Iterable[str]) -> None:
+    """State in the manifest what continues the tracks, before their next row, if any is left."""
+    own = read_manifest(out)
+    if part not in own.parts and unfinished(suite, out, names):
+        own = own.model_copy(update={"resumed": (*own.resumed, part)})
+        with atomic_write(out / MANIFEST) as temporary:
+            temporary.write_text(own.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
 def _run_track(
@@ -177,16 +188,16 @@ def _map_of(track: PredictionTrack, scene: str, folder: Path, on_progress: OnPro
     return ensure_map(scene, folder, voxel=MAP_VOXEL, seed=track.seed, on_progress=on_progress)
 
 
-def _write(suite: Suite, out: Path, now: Manifest, notices: list[str]) -> Path:
+def _write(suite: Suite, out: Path) -> Path:
     """Write the results of all tracks that the folder holds; return the page."""
     own, beside = read_manifest(out), references_of(suite, out)
-    if own.machine != now.machine:
-        notices = [*notices, f"A part was run on another machine: {described(now.machine)}."]
-    if own.version != now.version:
-        notices = [*notices, f"A part was run by another version: {now.version}."]
+    _, *machines = dict.fromkeys(described(part.machine) for part in own.parts)
+    _, *versions = dict.fromkeys(part.version for part in own.parts)
+    notices = [f"A part was run on another machine: {one}." for one in machines]
+    notices += [f"A part was run by another version: {one}." for one in versions]
     found = tables(suite, out, beside)
     stated = {name: value for name, value in own.model_dump(mode="json").items() if name not in ("entries", "tracks")}
-    notices = [*notices, *left_out(found, own), *without_references(found), *differing_content(suite, out, beside)]
+    notices += [*left_out(found, own), *without_references(found), *differing_content(suite, out, beside)]
     took = read_times(out)
     of_tracks = {table.name: as_json(table) | took.get(table.name, Took()).model_dump() for table in found}
     content = {**stated, "tracks": of_tracks, "notices": notices}

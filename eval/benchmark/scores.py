@@ -38,7 +38,7 @@ class Score:
     direction: Literal["higher", "lower"]
     digits: int
     within: tuple[float, float]  # that a score lies in
-    worst: float | None = None  # of an episode without a row; None where it is not known
+    worst: float | None = None  # of an episode without a row; None where each has its own
 
 
 def _spl(row: Row) -> float:
@@ -67,7 +67,7 @@ SCORES: dict[str, Score] = {
     "timely": Score(_timely, "timely success", "higher", 3, (0.0, 1.0), 0.0),
     "explored": Score(_explored, "explored", "higher", 3, (0.0, 1.0), 0.0),
     "ate": Score(_stored, "ATE, m", "lower", 4, (0.0, math.inf)),
-    "nats": Score(_stored, "nats a pixel", "higher", 2, (UNINFORMED, math.inf)),
+    "nats": Score(_stored, "nats a pixel", "higher", 2, (UNINFORMED, math.inf), UNINFORMED),
 }
 
 
@@ -77,7 +77,8 @@ class Line:
 
     Attributes:
         entry: its label.
-        score: with its interval over tasks; of explorers and world models over scenes, where there is more than one.
+        score: with its interval over tasks; of explorers and world models over scenes, where there is more than one;
+            NaN where an interrupted run has left recordings.
         success: share of the episodes; of recordings, those whose error is small; of drives, those that ran.
         collisions: steps in contact an episode, of a car collisions; None where nothing can collide.
         p95: s, 95 % point of a decision's time, the median over episodes; None where nothing was measured.
@@ -105,13 +106,16 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         score: of the track.
         episodes: how many the suite has.
     """
-    left = episodes - len(rows) if score.worst is not None else 0
+    left = episodes - len(rows)
     values = [score.function(row) for row in rows]
     units: list[Hashable] = [_cluster(row) for row in rows]
     if len(set(units)) == 1:
         units = [task_key(row) if "task" in row else row["unit"] for row in rows]
-    values += [float(score.worst or 0.0)] * left
-    units += [("left", k) for k in range(left)]
+    if score.worst is not None:
+        values += [score.worst] * left
+        units += [("left", k) for k in range(left)]
+    elif left:  # recordings differ too much for some of them to stand for all
+        values, units = [], []
     reasons = [_reason(row) for row in rows]
     faults = Counter(reason for reason in reasons if reason is not None)
     if left:

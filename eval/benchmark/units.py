@@ -4,6 +4,7 @@ A unit whose process dies, or does not return, is a failure of its entry; the ne
 """
 
 import multiprocessing
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -14,6 +15,7 @@ from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.studies.row_file import read_rows
 from vssm_gym.eval.sweep import worker
+from vssm_gym.eval.sweep.rounds import SIGNAL_SECONDS
 from vssm_gym.eval.sweep.supervision import DEAD, reason_of
 from vssm_gym.files.line_file import LineFile
 from vssm_gym.progress import OnProgress
@@ -88,6 +90,7 @@ def run_units(
                 try:
                     found = pool.submit(run, unit).result()
                 except BrokenProcessPool:
+                    time.sleep(SIGNAL_SECONDS)  # a signal to all processes then interrupts this one: it is no fault
                     pool.shutdown(wait=False)
                     pool, fault = None, DEAD
                 except (InputError, OutputError):

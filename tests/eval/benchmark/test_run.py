@@ -11,7 +11,8 @@ import pytest
 from tests.helpers.sweeps.benchmark_suites import write_agents, write_suite
 from vssm_gym.agents import registry
 from vssm_gym.errors import InputError
-from vssm_gym.eval.benchmark import results
+from vssm_gym.eval.benchmark import results, run
+from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.benchmark.results import MANIFEST
 from vssm_gym.eval.benchmark.run import PAGE, RESULTS, run_benchmark
 from vssm_gym.eval.benchmark.suite import SUITES, read_suite
@@ -106,6 +107,35 @@ def test_episodes_that_an_interrupted_run_has_left_are_not_those_of_a_fault(in_p
     assert line["faults"] == {"not run yet: --resume runs it": 1}
 
 
+def test_each_machine_and_version_that_ran_a_part_is_stated_however_often_the_run_goes_on(in_process, monkeypatch):
+    suite, out, loads = write_suite(in_process), in_process / "out", {"A": 0.5, "B": 3.0, "C": 0.5}
+
+    def on(name):
+        """Run one episode that is left on a machine, by a version of its own; return the results and the page."""
+        found = {"processor": name, "cores": 2, "of_cores": 2, "accelerator": None, "system": "Linux"}
+        monkeypatch.setattr(run, "machine", lambda: found)
+        monkeypatch.setattr(run, "package_version", lambda: f"of {name}")
+        monkeypatch.setattr(run, "load", lambda: loads[name])
+        page = run_benchmark(suite, ["random"], out, resume=True)
+        return json.loads((out / RESULTS).read_text()), page.read_text()
+
+    monkeypatch.setattr(runner, "_run", lambda jobs, log, *rest: log.append(worker.run(jobs[0])) if jobs else None)
+    _, text = on("A")
+    assert "A part was run" not in text
+    for name in ("B", "A", "C"):  # one that has nothing left to run is not stated
+        found, text = on(name)
+        assert (found["machine"]["processor"], found["version"], found["load"]) == ("A", "of A", 0.5)
+        assert re.findall("A part was run .*: (.+?)[,.]", text) == ["B", "of B"]
+    assert [(one["machine"]["processor"], one["load"]) for one in found["resumed"]] == [("B", 3.0)]
+    assert re.findall(r"\| this run .* \| of (.) \| (.), .* \| (.+) \|", text) == [
+        ("A", "A", "0.5"),
+        ("B", "B", "3.0"),
+    ]
+    [table] = results.tables(read_suite(suite), out, {})
+    assert not table.places[0].steady  # B was busy
+    assert read_rows(out / "mapping" / FILE)[1]["task"] == 1
+
+
 def test_an_agent_begins_each_episode_without_a_memory(in_process):
     suite, agents, out = write_suite(in_process), write_agents(in_process), in_process / "out"
     run_benchmark(suite, [f"{agents}:Remembering"], out)
@@ -187,6 +217,26 @@ def test_an_entry_that_ends_its_process_loses_its_own_episodes_alone(tmp_path):
     assert len(before.splitlines()) == 4
     assert run("--resume").returncode == 0
     assert log.read_bytes() == before
+
+
+def test_results_are_written_of_tracks_that_an_interrupted_run_has_left(tmp_path):
+    suite = read_suite(SUITES / "small-v1.yaml")
+    machine = {"processor": "CPU", "cores": 1, "of_cores": 2, "accelerator": None, "system": "Linux"}
+    kinds = {"slam": "slam", "prediction": "predictor"}
+    entries = tuple(results.Entrant(label=f"my_{name}", kind=kind, tracks=(name,)) for name, kind in kinds.items())
+    manifest = results.Manifest(suite="s", suite_hash="0", tracks={}, entries=entries, version="1", machine=machine)
+    (tmp_path / MANIFEST).write_text(manifest.model_dump_json())
+    for name in kinds:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / ROWS).touch()
+    references = results.references_of(suite, tmp_path)
+    slam, prediction = (results.as_json(table) for table in results.tables(suite, tmp_path, references))
+    json.dumps([slam, prediction], allow_nan=False)
+    assert (slam["entries"]["my_slam"]["rank"], slam["entries"]["my_slam"]["score"]["mean"]) == (None, None)
+    assert slam["entries"]["my_slam"]["faults"] == {"not run yet: --resume runs it": 3}
+    assert slam["references"]["prism"]["rank"] == 1
+    assert prediction["entries"]["my_prediction"]["score"]["mean"] == pytest.approx(UNINFORMED)
+    assert results.unfinished(suite, tmp_path, kinds)
 
 
 def test_content_that_differs_from_that_of_a_reference_is_said(tmp_path):

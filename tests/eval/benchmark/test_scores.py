@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vssm_gym.eval.benchmark import page
+from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.benchmark.results import Entrant, Manifest, Table, _placed, score_of, step_of
 from vssm_gym.eval.benchmark.scores import NOT_RUN, SCORES, line
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack
@@ -104,6 +105,25 @@ def test_equal_scores_share_a_rank_unless_one_has_faults():
     lines = [(line(n, of, SCORES["ate"], 1), slam(n), False, True) for n, of in reversed(rows.items())]
     placed = {place.line.entry: place.rank for place in _placed(lines, SLAM)}
     assert placed == {"still": 1, "same": 1, "broken": 3, "far": 4}
+
+
+def test_recordings_that_were_not_run_leave_an_entry_without_a_score_and_drives_are_worth_knowing_nothing():
+    found = line("mine", units(0.1), SCORES["ate"], 3)
+    assert np.isnan([found.score.mean, found.score.low, found.score.high]).all()
+    assert found.success == pytest.approx(1 / 3)
+    assert found.faults == {NOT_RUN: 2}
+    found = line("mine", units(1.0), SCORES["nats"], 3)
+    assert found.score.mean == pytest.approx((1.0 + 2 * UNINFORMED) / 3)
+    assert found.faults == {NOT_RUN: 2}
+    assert line("mine", [], SCORES["nats"], 3).score.mean == UNINFORMED
+
+
+def test_an_entry_without_a_score_stands_below_the_ranks():
+    slam = lambda label: Entrant(label=label, kind="slam", tracks=("slam",))
+    rows = {"none": units(), "begun": units(0.1), "far": units(0.4, 0.4), "near": units(0.3, 0.3)}
+    placed = _placed([(line(n, of, SCORES["ate"], 2), slam(n), False, True) for n, of in rows.items()], SLAM)
+    assert [(place.line.entry, place.rank) for place in placed[:2]] == [("near", 1), ("far", 2)]
+    assert {place.line.entry: place.rank for place in placed[2:]} == {"none": None, "begun": None}
 
 
 def test_a_page_shows_names_of_any_content_as_text():

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from vssm_gym.eval.benchmark.slam.contract import SlamMethod
 from vssm_gym.eval.benchmark.slam.methods import SLAM_METHODS, StandingStill
 from vssm_gym.eval.benchmark.slam.run import SlamUnit, ensure_recording, run_recording, standing_still
 from vssm_gym.eval.benchmark.suite import Recording, given_seed
-from vssm_gym.eval.sweep.supervision import processor_seconds
+from vssm_gym.eval.sweep.rounds import SIGNAL_SECONDS
+from vssm_gym.eval.sweep.supervision import DEAD, processor_seconds
 
 METHODS = """
 import os
@@ -150,6 +152,35 @@ def test_what_cannot_be_made_in_the_worker_is_a_fault(monkeypatch, walk):
 def broken(unit):
     """Raise, as code does that an entry has patched."""
     raise LookupError("patched")
+
+
+class Broken:
+    """Be a pool whose process has died."""
+
+    _processes = None
+
+    def submit(self, run, unit):
+        raise BrokenProcessPool
+
+    def shutdown(self, **_):
+        """End."""
+
+
+def test_a_signal_that_ends_the_process_first_is_no_fault(tmp_path, monkeypatch):
+    def interrupted(seconds):
+        assert seconds == SIGNAL_SECONDS
+        raise KeyboardInterrupt
+
+    unit = SlamUnit("mine", "mine", Recording(scene="oak", motion="handheld", length=1.0), tmp_path, seconds=5.0)
+    run = lambda: units.run_units([unit], broken, lambda _: 1.0, tmp_path / "slam")
+    monkeypatch.setattr(units, "_pool", Broken)
+    monkeypatch.setattr(time, "sleep", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert (tmp_path / "slam" / units.ROWS).read_bytes() == b""
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
+    [row] = units.read_rows(run(), units.UnitRow)
+    assert row["fault"] == DEAD
 
 
 @pytest.mark.slow
