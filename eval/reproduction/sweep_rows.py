@@ -106,16 +106,17 @@ def _config(
     task_file: Path | None,
 ) -> SweepConfig:
     """Return the configuration of the sweep, with the scenes and agents of the chosen rows alone."""
-    policies = policies_of(folder)
+    package = {label(path): f"{PREFIX}{path}" for path in (shipped(name, POLICIES) for name in names(POLICIES))}
+    policies = package | policies_of(folder)
     agents = [policies.get(agent, agent) for agent in dict.fromkeys(row["agent"] for row in rows)]
     for agent in agents:
         if not agent.startswith(PREFIX) and agent.partition(WITH)[0] not in AGENTS:
             expected = f"agents of the registry, or policies of the package or of {POLICY_FOLDER}/; {agent} is none"
             raise InputError(folder / MANIFEST, "config.agents", expected)
-    names = list(dict.fromkeys(row["scene"] for row in rows))
+    of_rows = list(dict.fromkeys(row["scene"] for row in rows))
     given = dict(manifest["config"]) | {
         "agents": agents,
-        "scenes": [scenes.get(name, spec_of_name(name)) for name in names],
+        "scenes": [scenes.get(name, spec_of_name(name)) for name in of_rows],
         "task_file": _tasks(folder, manifest["config"].get("task_file"), task_file),
     }
     config = SweepConfig.model_validate({name: value for name, value in given.items() if value is not None})
@@ -125,9 +126,8 @@ def _config(
 
 
 def policies_of(folder: Path) -> dict[str, str]:
-    """Return ``policy:PATH`` of the policies of the package and of a sweep's folder, by the label that rows have."""
-    known = [shipped(name, POLICIES) for name in names(POLICIES)] + sorted((folder / POLICY_FOLDER).glob("*.npz"))
-    return {label(path): f"{PREFIX}{path.resolve()}" for path in known}
+    """Return ``policy:PATH`` of each policy file of a sweep's folder, by the label that rows have for it."""
+    return {label(path): f"{PREFIX}{path.resolve()}" for path in sorted((folder / POLICY_FOLDER).glob("*.npz"))}
 
 
 def _tasks(folder: Path, wanted: str | None, given: Path | None) -> str | None:

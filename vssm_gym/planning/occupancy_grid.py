@@ -75,10 +75,10 @@ class OccupancyGrid:
         Raises:
             InputError: a map that shows nothing.
         """
-        unknown = ~planar_map.observed
+        unknown = np.logical_not(planar_map.observed)
         if unknown.all():
             raise InputError("map", "belief", "something observed; found nothing")
-        occupied = ~unknown & (np.asarray(planar_map.occupancy) > 0.0)
+        occupied = np.logical_and(planar_map.observed, np.asarray(planar_map.occupancy) > 0.0)
         cell = round(float(planar_map.cell_size), 6)  # 0.1, not the float32 beside it
         return cls._of_known(occupied, unknown, np.asarray(planar_map.origin, np.float64) - 0.5 * cell, cell)
 
