@@ -61,7 +61,7 @@ class OccupancyGrid:
         per_cell = max(1, int(np.ceil(resolution / (0.5 * float(voxel_map.voxel_size)) - 1e-6)))
         spacing = resolution / per_cell
         top, share = observed_columns(voxel_map, z_min, height, spacing)
-        occupied = _blocks(top > 0.0, per_cell).any(axis=(1, 3))
+        occupied = np.asarray(_blocks(top > 0.0, per_cell).any(axis=(1, 3)))
         unknown = _blocks(share, per_cell).mean(axis=(1, 3)) < OBSERVED_SHARE
         if unknown.all() and not occupied.any():
             raise InputError("map", "belief", f"something observed between {z_min} and {height} m; found nothing")
@@ -75,10 +75,10 @@ class OccupancyGrid:
         Raises:
             InputError: a map that shows nothing.
         """
-        unknown = np.logical_not(planar_map.observed)
+        unknown = np.asarray(~planar_map.observed)
         if unknown.all():
             raise InputError("map", "belief", "something observed; found nothing")
-        occupied = np.logical_and(planar_map.observed, np.asarray(planar_map.occupancy) > 0.0)
+        occupied = np.asarray(np.asarray(planar_map.occupancy) > 0.0) & ~unknown
         cell = round(float(planar_map.cell_size), 6)  # 0.1, not the float32 beside it
         return cls._of_known(occupied, unknown, np.asarray(planar_map.origin, np.float64) - 0.5 * cell, cell)
 
