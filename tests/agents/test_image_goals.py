@@ -140,13 +140,13 @@ def test_the_same_seed_gives_the_same_commands(learned):
 
 
 @pytest.mark.slow
-def test_the_next_image_is_looked_for_from_where_the_robot_stands(learned):
-    """A goal that changes is a new task: the map stays, and what was refuted for one image is not for another."""
+def test_the_next_image_is_looked_for_in_the_map_that_stays(learned):
+    """A goal that changes is a new task in the same map: the way back to the start needs no exploration."""
     rng, planar, agent = np.random.default_rng(0), np.array([1.0, 1.0, 1.0]), SlamImageAgent()
-    places = [np.array([0.8, 2.2, -0.8]), np.array([4.3, 0.6, 2.5])]
+    places = [np.array([0.8, 2.2, -0.8]), planar]
     agent.reset(context(None, planar), seen(planar, places[0], learned), 0)
     for taken in places:
-        for _ in range(500):
+        for _ in range(150):
             decision = agent.act(seen(planar, taken, learned))
             if decision.action[3] > 0.5:
                 break
