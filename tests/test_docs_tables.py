@@ -19,6 +19,7 @@ from vssm_gym.envs.sensors import gps_compass, imu, lidar, rgbd_noise
 from vssm_gym.envs.sensors.registry import SENSORS
 from vssm_gym.envs.textures.registry import TEXTURES
 from vssm_gym.eval.benchmark import results
+from vssm_gym.eval.benchmark.manifest import read_manifest
 from vssm_gym.eval.benchmark.suite import SUITES, read_suite
 from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.inference.registry import FILTERS
@@ -208,7 +209,7 @@ def test_the_page_of_the_benchmark_shows_the_references():
     """Scores, successes and contacts in its table are those of the committed rows, best first."""
     suite = read_suite(SUITES / "small-v1.yaml")
     first, *others = sorted(results.REFERENCES.glob("small-v1*"))
-    manifests = {folder: results.read_manifest(folder) for folder in others}
+    manifests = {folder: read_manifest(folder) for folder in others}
     expected = [
         [f"`{table.name}`", f"`{place.line.entry}`", place.line.score.text(table.score.digits), *_outcomes(place.line)]
         for table in results.tables(suite, first, manifests)

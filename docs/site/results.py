@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from vssm_gym.eval.benchmark import manifest as benchmark_manifest
 from vssm_gym.eval.benchmark import results as benchmark_results
 from vssm_gym.eval.benchmark.suite import read_suite, suite_file
 from vssm_gym.eval.episodes.log import FILE, read_rows
@@ -52,7 +53,7 @@ def figures(path: Path) -> str:
     """Return the tables of one folder or file; nothing where no figure has an interval."""
     if (path / FILE).is_file():
         return sweep(path)
-    if (path / benchmark_results.MANIFEST).is_file():
+    if (path / benchmark_manifest.MANIFEST).is_file():
         return benchmark(path)
     files = [path] if path.is_file() else sorted(path.glob("*.json"))
     found = [(name, text) for file in files for name, text in intervals(json.loads(file.read_text()))]
@@ -71,7 +72,7 @@ def sweep(folder: Path) -> str:
 
 def benchmark(folder: Path) -> str:
     """Return the scores of the entries of a run of the benchmark, one line a track and entry."""
-    suite = read_suite(suite_file(benchmark_results.read_manifest(folder).suite))
+    suite = read_suite(suite_file(benchmark_manifest.read_manifest(folder).suite))
     lines = [
         [found.name, f"`{place.line.entry}`", found.score.label, place.line.score.text(found.score.digits)]
         for found in benchmark_results.tables(suite, folder, {})

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from vssm_gym.eval.benchmark.machine import described
-from vssm_gym.eval.benchmark.results import Manifest, Part, Place, Table
+from vssm_gym.eval.benchmark.manifest import Manifest, Part
+from vssm_gym.eval.benchmark.results import Place, Table
 from vssm_gym.eval.benchmark.suite import DrivingTrack
 from vssm_gym.eval.benchmark.times import Took
 from vssm_gym.viz.text import shortened, visible

@@ -13,18 +13,13 @@ from vssm_gym.errors import InputError, one_of
 from vssm_gym.eval.benchmark import page
 from vssm_gym.eval.benchmark.entries import Entry, find_entries
 from vssm_gym.eval.benchmark.machine import described, load, machine
+from vssm_gym.eval.benchmark.manifest import MANIFEST, Entrant, Manifest, Part, check_entries, read_manifest
 from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
 from vssm_gym.eval.benchmark.prediction.run import PredictionUnit, run_drive
 from vssm_gym.eval.benchmark.results import (
-    MANIFEST,
-    Entrant,
-    Manifest,
-    Part,
     as_json,
-    check_entries,
     differing_content,
     left_out,
-    read_manifest,
     references_of,
     tables,
     unfinished,

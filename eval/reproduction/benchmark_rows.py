@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.benchmark.results import MANIFEST, read_manifest
+from vssm_gym.eval.benchmark.manifest import MANIFEST, read_manifest
 from vssm_gym.eval.benchmark.run import run_benchmark
 from vssm_gym.eval.benchmark.suite import suite_file
 from vssm_gym.eval.benchmark.units import ROWS

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from vssm_gym.errors import InputError
-from vssm_gym.eval.benchmark.results import MANIFEST as RUN_OF_BENCHMARK
+from vssm_gym.eval.benchmark.manifest import MANIFEST as RUN_OF_BENCHMARK
 from vssm_gym.eval.episodes.log import FILE
 from vssm_gym.eval.reproduction.comparison import Reproduced
 from vssm_gym.eval.reproduction.studies import STUDIES

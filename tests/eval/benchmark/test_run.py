@@ -12,8 +12,8 @@ from tests.helpers.sweeps.benchmark_suites import write_agents, write_suite
 from vssm_gym.agents import registry
 from vssm_gym.errors import InputError
 from vssm_gym.eval.benchmark import results, run
+from vssm_gym.eval.benchmark.manifest import MANIFEST, Entrant, Manifest
 from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
-from vssm_gym.eval.benchmark.results import MANIFEST
 from vssm_gym.eval.benchmark.run import PAGE, RESULTS, run_benchmark
 from vssm_gym.eval.benchmark.suite import SUITES, read_suite
 from vssm_gym.eval.benchmark.units import ROWS, UnitRow
@@ -223,8 +223,8 @@ def test_results_are_written_of_tracks_that_an_interrupted_run_has_left(tmp_path
     suite = read_suite(SUITES / "small-v1.yaml")
     machine = {"processor": "CPU", "cores": 1, "of_cores": 2, "accelerator": None, "system": "Linux"}
     kinds = {"slam": "slam", "prediction": "predictor"}
-    entries = tuple(results.Entrant(label=f"my_{name}", kind=kind, tracks=(name,)) for name, kind in kinds.items())
-    manifest = results.Manifest(suite="s", suite_hash="0", tracks={}, entries=entries, version="1", machine=machine)
+    entries = tuple(Entrant(label=f"my_{name}", kind=kind, tracks=(name,)) for name, kind in kinds.items())
+    manifest = Manifest(suite="s", suite_hash="0", tracks={}, entries=entries, version="1", machine=machine)
     (tmp_path / MANIFEST).write_text(manifest.model_dump_json())
     for name in kinds:
         (tmp_path / name).mkdir()
@@ -254,7 +254,7 @@ def test_content_that_differs_from_that_of_a_reference_is_said(tmp_path):
         (folder / "slam" / ROWS).write_text("".join(row.model_dump_json() + "\n" for row in rows))
     machine = {"processor": "CPU", "cores": 1, "of_cores": 2, "accelerator": None, "system": "Linux"}
     tracks = {"slam": suite.track_hash("slam")}
-    kept = results.Manifest(suite="s", suite_hash="0", tracks=tracks, entries=(), version="1", machine=machine)
+    kept = Manifest(suite="s", suite_hash="0", tracks=tracks, entries=(), version="1", machine=machine)
     [notice] = results.differing_content(suite, folders[0], {folders[1]: kept})
     assert notice.startswith("slam: walk-1 differ from those of the reference kept")
     other = kept.model_copy(update={"tracks": {"slam": "0" * 16}})

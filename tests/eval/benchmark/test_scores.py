@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from vssm_gym.eval.benchmark import page
+from vssm_gym.eval.benchmark.manifest import Entrant, Manifest
 from vssm_gym.eval.benchmark.prediction.levels import UNINFORMED
-from vssm_gym.eval.benchmark.results import Entrant, Manifest, Table, _placed, score_of, step_of
+from vssm_gym.eval.benchmark.results import Table, _placed, score_of, step_of
 from vssm_gym.eval.benchmark.scores import NOT_RUN, SCORES, line
 from vssm_gym.eval.benchmark.suite import DrivingTrack, SlamTrack
 from vssm_gym.eval.benchmark.times import Took
