@@ -59,7 +59,7 @@ def test_another_name_is_an_attribute_error():
         importlib.import_module("vssm_gym.VoxelMapp")
 
 
-def test_importing_loads_the_registration_and_the_cache_alone():
+def test_importing_loads_the_registration_and_the_settings_of_libraries_alone():
     code = (
         "import sys, vssm_gym\n"
         "print(sorted(m for m in sys.modules if m.startswith('vssm_gym.')))\n"
@@ -68,7 +68,7 @@ def test_importing_loads_the_registration_and_the_cache_alone():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded, later = done.stdout.splitlines()
-    expected = ["compilation_cache", "envs", "envs.registration", "version"]
+    expected = ["compilation_cache", "envs", "envs.registration", "instruction_set", "version"]
     assert ast.literal_eval(loaded) == [f"vssm_gym.{name}" for name in expected]
     assert later == "True False"
 

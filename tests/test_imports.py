@@ -37,7 +37,8 @@ BASE = {"errors", "files", "progress", "geometry"}
 ALLOWED: dict[str, set[str]] = {
     layer: {name for below in LAYERS[:height] for name in below} for height, row in enumerate(LAYERS) for layer in row
 }
-ALLOWED["version"] = ALLOWED["compilation_cache"] = set()
+ALLOWED["version"] = ALLOWED["instruction_set"] = set()
+ALLOWED["compilation_cache"] = {"instruction_set"}
 ALLOWED["envs.registration"] = set()
 ALLOWED["envs"] = BASE | {"envs.registration"}
 ALLOWED["envs.world_model"] = ALLOWED["inference"] | {"envs"}  # the model, but nothing that infers or plans
@@ -91,7 +92,8 @@ for _module in ("slam", "eval", "training", "cli"):
         "data.flights",
         "viz",
     }
-ALLOWED["cli"] |= {"compilation_cache"}  # doctor says where it is
+ALLOWED["cli"] |= {"compilation_cache", "instruction_set"}  # doctor says where it is; reproduce, on which processor
+ALLOWED["eval"] |= {"instruction_set"}  # rows say on which processor they were made
 ALLOWED["__init__"] = set(ALLOWED)  # it offers the public names, each imported at its first use
 
 ONE_IMPORTER = {

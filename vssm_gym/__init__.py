@@ -1,8 +1,9 @@
 """vssm_gym: indoor Gymnasium environments, a spatial world model inferred in real time, and agents that plan in it.
 
-Importing the package registers its environments (``gymnasium.make("vssm_gym/PointNav-v0")``) and turns on JAX's cache
-of compiled functions (:mod:`vssm_gym.compilation_cache`). Every public name of :data:`PUBLIC` is imported from its
-module when it is first used, and JAX and MuJoCo with it.
+Importing the package registers its environments (``gymnasium.make("vssm_gym/PointNav-v0")``), turns on JAX's cache of
+compiled functions (:mod:`vssm_gym.compilation_cache`) and lets libraries use the same instructions on every processor
+(:mod:`vssm_gym.instruction_set`). Every public name of :data:`PUBLIC` is imported from its module when it is first
+used, and JAX and MuJoCo with it.
 
     import vssm_gym as vg
 
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from vssm_gym.compilation_cache import use_compilation_cache
 from vssm_gym.envs.registration import register
+from vssm_gym.instruction_set import use_common_instructions
 from vssm_gym.version import __version__
 
 if TYPE_CHECKING:  # the same names for type checkers and editors; tests/test_api.py holds the two lists together
@@ -131,5 +133,6 @@ PUBLIC: dict[str, str] = {
 
 __all__ = ["__version__", *PUBLIC]
 
-register()
+use_common_instructions()  # before Gymnasium loads NumPy
 use_compilation_cache()
+register()

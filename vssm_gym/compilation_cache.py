@@ -10,6 +10,8 @@ import sys
 import zlib
 from pathlib import Path
 
+from vssm_gym.instruction_set import cpu_flags
+
 # JAX's defaults keep what took a second to compile: a process here compiles a hundred functions, most of them small.
 SETTINGS = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
@@ -61,7 +63,4 @@ def _processor() -> str:
 
     Compiled code suits one kind of processor, which JAX's key does not name, and machines may share a home folder.
     """
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else [platform.processor()]
-    flags = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
-    return f"{platform.machine()}-{zlib.crc32(flags.encode()):08x}"
+    return f"{platform.machine()}-{zlib.crc32((cpu_flags() or platform.processor()).encode()):08x}"

@@ -2,10 +2,9 @@
 
 import os
 import platform
-from pathlib import Path
 from typing import Any
 
-CPU_FILE = Path("/proc/cpuinfo")  # of Linux
+from vssm_gym.instruction_set import cpu_model
 
 
 def machine() -> dict[str, Any]:
@@ -15,7 +14,7 @@ def machine() -> dict[str, Any]:
     devices = [device for device in jax.devices() if device.platform != "cpu"]
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
-        "processor": _processor(),
+        "processor": cpu_model(),
         "cores": usable,
         "of_cores": os.cpu_count(),
         "accelerator": devices[0].device_kind if devices else None,
@@ -33,13 +32,3 @@ def described(found: dict[str, Any]) -> str:
     of = "" if found["of_cores"] == found["cores"] else f" of {found['of_cores']}"
     accelerator = found["accelerator"] or "no accelerator"
     return f"{found['processor']}, {found['cores']}{of} cores, {accelerator}, {found['system']}"
-
-
-def _processor() -> str:
-    """Return the model of the processor; the architecture where the system does not tell."""
-    try:
-        lines = CPU_FILE.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, "") or platform.processor() or platform.machine()

@@ -86,6 +86,7 @@ class EpisodeRow(_Strict):
     agent: str
     # What made it
     version: str | None = None
+    processor: str | None = None
     config_hash: str | None = None
     map_hash: str | None = None
     tracer: str | None = None

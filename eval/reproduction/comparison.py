@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-MADE_BY = ("format", "version", "config_hash", "map_hash", "explored")  # of the code, the sweep and its files
+MADE_BY = ("format", "version", "processor", "config_hash", "map_hash", "explored")  # of code, machine, sweep and files
 TIMES = ("latency", "decision_p50", "decision_p95")
 PICTURED = ("trace",)  # thinned paths for a picture; their metrics are compared
 NOT_OUTCOMES = frozenset(MADE_BY + TIMES + PICTURED)  # fields that are not compared
@@ -25,11 +25,18 @@ class Reproduced:
         name: of the row in words.
         difference: the first field that differs; None if the outcomes agree.
         version: of the package that wrote the earlier row; None where it does not say so.
+        processor: of the machine that did; None where the row does not say so.
     """
 
     name: str
     difference: str | None
     version: str | None = None
+    processor: str | None = None
+
+    @property
+    def made_by(self) -> str:
+        """Return version and processor in words; empty where neither is known."""
+        return " on ".join(part for part in (self.version, self.processor) if part)
 
 
 def spread_evenly(rows: Sequence[dict[str, Any]], most: int) -> list[dict[str, Any]]:

@@ -94,7 +94,7 @@ def reproduce_sweep(
         difference = "the row: not an episode of the sweep's configuration" if again is None else None
         name = f"{row['scene']}, {row['agent']}, noise {row['noise']}, task {row['task']}"
         compared = difference or first_difference(row, again or {}, tolerance)
-        outcome.append(Reproduced(name, compared, row.get("version")))
+        outcome.append(Reproduced(name, compared, row.get("version"), row.get("processor")))
     return outcome
 
 

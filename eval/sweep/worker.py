@@ -25,6 +25,7 @@ from vssm_gym.eval.episodes.recorder import Wrap, unwrapped
 from vssm_gym.eval.metrics.failure import FAULT
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep.supervision import SupervisedAgent
+from vssm_gym.instruction_set import cpu_model
 
 if TYPE_CHECKING:  # a worker is up before it pays for JAX and MuJoCo
     from multiprocessing.synchronize import Event
@@ -141,7 +142,8 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
         result |= {"success": False, "failure": f"{FAULT}: {supervised.fault}"}
     if job.explored_file:
         result["explored"] = _keep(agent, job)
-    signature = {"version": job.version, "config_hash": job.config_hash, "map_hash": job.map_hash}
+    made_by = {"version": job.version, "processor": cpu_model()}
+    signature = made_by | {"config_hash": job.config_hash, "map_hash": job.map_hash}
     if episode.agent not in _compiled:
         _compiled.add(episode.agent)
         release_memory()

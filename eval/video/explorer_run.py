@@ -21,6 +21,7 @@ from vssm_gym.eval.video.explorer_recording import Recording
 from vssm_gym.eval.video.run_files import PICTURE, VIDEO, write_map, write_picture, write_row
 from vssm_gym.files.atomic import atomic_write
 from vssm_gym.files.output_folders import Owner, owned_folder
+from vssm_gym.instruction_set import cpu_model
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
@@ -74,7 +75,7 @@ def _explore(
     if on_progress:
         on_progress("exploring", result["steps"], result["steps"])
     content, version = apartment.content_hash(), package_version()
-    signature = {"version": version, "config_hash": hashed, "map_hash": None}
+    signature = {"version": version, "processor": cpu_model(), "config_hash": hashed, "map_hash": None}
     row = episode.identity(content) | signature | result
     explored = map_of(agent)
     assert explored is not None  # every explorer of the registry keeps one

@@ -35,6 +35,7 @@ from vssm_gym.eval.video.navigator_recording import Recording
 from vssm_gym.eval.video.run_files import PICTURE, VIDEO, write_map, write_picture, write_row
 from vssm_gym.files.output_folders import Owner, check_at_least, owned_folder
 from vssm_gym.files.shipped import MAPS, or_shipped, shipped
+from vssm_gym.instruction_set import cpu_model
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
@@ -264,6 +265,7 @@ def _navigate(prepared: Prepared, out: Path, video: bool, on_progress: OnProgres
     if on_progress:
         on_progress("navigating", result["steps"], result["steps"])
     signature = {name: prepared.manifest[name] for name in ("version", "config_hash", "map_hash")}
+    signature["processor"] = cpu_model()
     row = episode.identity(prepared.scene_hash) | signature | (result if image is None else unjudged(result))
     own = map_of(agent)
     if own is not None:

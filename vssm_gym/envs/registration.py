@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import gymnasium as gym
-
 
 @dataclass(frozen=True)
 class EnvironmentSpec:
@@ -154,6 +152,8 @@ ENVIRONMENTS: dict[str, EnvironmentSpec] = {spec.id: spec for spec in _ROWS}
 
 def register() -> None:
     """Register the environments; calling it twice changes nothing."""
+    import gymnasium as gym  # loads NumPy, which reads its variables then (vssm_gym.instruction_set)
+
     for spec in ENVIRONMENTS.values():
         if spec.id not in gym.registry:
             gym.register(

@@ -43,6 +43,7 @@ def reproduce(
     from vssm_gym.errors import InputError
     from vssm_gym.eval.reproduction.registry import reproduce as run
     from vssm_gym.files.output_folders import check_at_least, check_folder
+    from vssm_gym.instruction_set import cpu_model
     from vssm_gym.version import package_version
 
     check_at_least("reproduce", "episodes", episodes, 1)
@@ -55,9 +56,9 @@ def reproduce(
     different = [one for one in found if one.difference is not None]
     for one in different:
         say(f"{one.name}: {one.difference}")
-    others = sorted({one.version for one in different if one.version not in (None, package_version())})
-    if others:
-        say(f"rows that differ were made by {', '.join(others)}; this is {package_version()}")
+    here = f"{package_version()} on {cpu_model()}"
+    if others := sorted({one.made_by for one in different} - {"", here}):
+        say(f"rows that differ were made by {', '.join(others)}; this is {here}")
     say(f"{len(found) - len(different)} of {len(found)} rows have the same outcome within {tolerance:g}")
     if different:
         raise SystemExit(1)

@@ -201,7 +201,7 @@ def shade(T, fx, fy, cx, cy, frames, shifts, colors, textures, texels, levels, l
 _WHOLE = 1 << 13  # the sum of a pixel's eight weights: 8 bits of colour and 13 of weight fill a lane
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _place(first, end, j, row, nearness, u, v, depth):
     """Compute depth, and texture coordinates in [0, 1), of a run of pixels that show one face."""
     u0, uz, ux = row[0], row[1] + row[3] * np.float32(j), row[2]
@@ -222,7 +222,7 @@ def _spread(first, end, f, row, away, steady, texel2, shown):
         shown[i] = f
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _light(away, steady, texel2, levels, length2, depth, level, light):
     """Compute level of detail, 0 for one texel, and light of a row."""
     one, zero, finest = np.float32(1.0), np.float32(0.0), np.float32(levels - 1)
