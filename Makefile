@@ -48,7 +48,7 @@ $(STAMP): constraints.txt pyproject.toml Makefile
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
 	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \
 	fi
-	@echo "installing into $(VENV) (a minute or two)"
+	@echo "installing into $(VENV) (two to four minutes)"
 	@extras=dev,rl,dynamics,datasets,docs,cluster; \
 	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then extras=$$extras,bullet; \
 	else echo "no PyBullet: it has a wheel for Python 3.11 only; physics=\"bullet\" and its tests need it"; fi; \

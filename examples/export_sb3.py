@@ -1,6 +1,6 @@
 """Train a policy by a script of your own with stable-baselines3, export it, and read it back without torch.
 
-    pip install -c constraints.txt ".[rl]"      # in the checkout
+    make install                                # in the checkout
     python examples/export_sb3.py [STEPS]       # 2,000,000 by default, about 10 minutes; the fewer, the less is learned
 
 The robots are imagined in the learned map ``oak`` that comes with the package; docs/rl.md says which policies can be
@@ -26,7 +26,7 @@ STEPS = parser.parse_args().steps
 
 worlds = gym.make_vec("vssm_gym/WorldModelNav-v0", map="oak", num_envs=64, noise=("low", "mid"), end_on="reach")
 env = VecNormalize(VecMonitor(SB3VecEnv(worlds)), norm_reward=False)
-model = PPO("MultiInputPolicy", env, n_steps=64, batch_size=1024, ent_coef=0.002, device="cpu", seed=0)
+model = PPO("MultiInputPolicy", env, verbose=1, n_steps=64, batch_size=1024, ent_coef=0.002, device="cpu", seed=0)
 model.learn(STEPS)
 path = export_sb3(model, Path("mine.npz"), name="mine")
 

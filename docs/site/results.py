@@ -46,7 +46,9 @@ def section(names: list[str], commit: str, text: str) -> str:
     """Return the section of one row: its heading, commit, text and figures."""
     heading = ", ".join(f"`{name}`" for name in names)
     said = f"Commit {commit}: {text.replace('](../../docs/', '](')}.\n"
-    return "\n".join([f"## {heading}\n", said, *(figures(BASELINES / name) for name in names)])
+    found = [(name, figures(BASELINES / name)) for name in names]
+    labelled = [f"`{name}`:\n\n{text}" if len(names) > 1 and text else text for name, text in found]
+    return "\n".join([f"## {heading}\n", said, *labelled])
 
 
 def figures(path: Path) -> str:
@@ -62,9 +64,14 @@ def figures(path: Path) -> str:
 
 
 def sweep(folder: Path) -> str:
-    """Return the headline metrics of a sweep, one line an agent and condition; scenes are pooled."""
-    view = view_of(read_manifest(folder / MANIFEST)["config"]["env"][0])
+    """Return the headline metrics of a sweep, one line an agent and condition; scenes are pooled.
+
+    Levels of noise are in the order of the configuration.
+    """
+    config = read_manifest(folder / MANIFEST)["config"]
+    view, levels = view_of(config["env"][0]), config["noise"]
     rows = by_method(measured(row) for row in read_rows(folder / FILE))
+    rows = sorted(rows, key=lambda row: levels.index(row["noise"]))
     by = [*tables.pooled(rows), "agent"]
     found = tables.results(rows, 0, view.measures, view.measures.headline, by)
     return table(list(found.header), found.lines)

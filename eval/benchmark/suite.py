@@ -195,7 +195,8 @@ def read_suite(path: Path) -> Suite:
             track.located(path.parent)
     if suite.hash != suite.content_hash():
         expected = f"{suite.content_hash()}, the hash of the suite as it is; found {suite.hash!r:.80}"
-        raise InputError(path, "hash", f"{expected}: a suite that has changed needs another name, and to be frozen")
+        how = "freeze(Path(FILE)) of vssm_gym.eval.benchmark.suite writes it; one that has results needs another name"
+        raise InputError(path, "hash", f"{expected}: {how}")
     return suite
 
 

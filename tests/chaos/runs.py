@@ -17,7 +17,7 @@ from tests.helpers.paths import CHECKOUT
 
 PATIENCE = 600.0  # s that no run here takes
 POLL = 0.005  # s between looks at a folder
-RUN = "import sys\nfrom vssm_gym.cli.main import main\nsys.exit(main())"
+RUN = "import sys\nfrom vssm_gym.cli.main import program\nprogram()"
 SIGNALS = {signal.SIGKILL: 0.7, signal.SIGTERM: 0.15, signal.SIGINT: 0.15}
 LEFT_OVER = re.compile(r"\..+\.(tmp|lock)|\.lock")  # names of temporary files and locks
 

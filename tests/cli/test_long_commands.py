@@ -21,7 +21,7 @@ PATIENCE = 600.0  # s until a line of progress, and from the kill to the end; a 
 OFTEN = "import vssm_gym.cli.shared.progress as p\np.LOG_SECONDS = 0.1\n"
 # A suite that runs in the background of a shell inherits an ignored Ctrl-C
 HEARD = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-RUN = "import sys\nfrom vssm_gym.cli.main import main\nif __name__ == '__main__':\n    sys.exit(main())"
+RUN = "import sys\nfrom vssm_gym.cli.main import program\nif __name__ == '__main__':\n    program()"
 NOTHING = "no result of this run is kept; start it again with: "
 CONFIGS = {
     "sweep.yaml": "scenes: rooms.json\nagents: random\ntasks: 60\n",

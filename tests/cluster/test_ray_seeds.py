@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def alone(folder):
     """Train the seeds by the command, one after the other, with one thread."""
-    code = "import sys; from vssm_gym.cli.main import main; sys.exit(main())"
+    code = "import sys; from vssm_gym.cli.main import program; program()"
     words = ["train", folder / "train.yaml", "--out", folder / "alone", "--seeds", ",".join(map(str, SEEDS))]
     environment = os.environ | one_thread() | {"PYTHONPATH": str(CHECKOUT)}
     subprocess.run([sys.executable, "-c", code, *map(str, words)], check=True, env=environment, capture_output=True)

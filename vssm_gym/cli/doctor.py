@@ -168,7 +168,7 @@ def extra(name: str) -> Finding:
         title,
         not absent,
         detail.removesuffix("; "),
-        f'pip install -c constraints.txt ".[{name}]" in the checkout',
+        f"pip install -c constraints.txt {' '.join(absent)} in the checkout",
         False,
         partly=bool(versions),
     )

@@ -4,12 +4,14 @@ A command is a function in a file of this folder. Only the file of the requested
 that it uses are imported inside the function, so that help appears at once.
 """
 
+import atexit
 import functools
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 from tyro.conf import FlagCreatePairsOff
 from tyro.extras import SubcommandApp
@@ -68,6 +70,21 @@ COMMANDS: dict[str, Any] = {
 DESCRIPTION = "Indoor Gymnasium environments, a spatial world model inferred in real time, and agents that plan in it."
 FAILED = 1  # a file could not be written
 BAD_INPUT = 2  # also what a wrong option exits with
+INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)  # by Ctrl-C, by a scheduler
+
+
+def program() -> NoReturn:
+    """Run :func:`main` and end the process with its exit code.
+
+    An interrupted one ends without Python's last collection of garbage: it may wait for ever for threads of XLA whose
+    computation was left half-way.
+    """
+    code = main()
+    if code in INTERRUPTED:
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def main() -> int:

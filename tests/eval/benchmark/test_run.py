@@ -179,7 +179,7 @@ def test_wrong_arguments_are_refused_before_anything_is_written(in_process, keyw
 @pytest.mark.slow
 def test_the_command_scores_a_strangers_file_in_worker_processes(tmp_path):
     suite, agents = write_suite(tmp_path), write_agents(tmp_path)
-    program = "import sys; from vssm_gym.cli.main import main; sys.exit(main())"
+    program = "import sys; from vssm_gym.cli.main import program; program()"
     words = ["benchmark", str(suite), "--entry", f"{agents.name}:Straight", f"{agents.name}:Crashing", "--out", "out"]
     done = subprocess.run([sys.executable, "-c", program, *words], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -199,7 +199,7 @@ def test_the_command_scores_a_strangers_file_in_worker_processes(tmp_path):
 @pytest.mark.slow
 def test_an_entry_that_ends_its_process_loses_its_own_episodes_alone(tmp_path):
     suite, agents = write_suite(tmp_path), write_agents(tmp_path)
-    program = "import sys; from vssm_gym.cli.main import main; sys.exit(main())"
+    program = "import sys; from vssm_gym.cli.main import program; program()"
     entries = [f"{agents.name}:{name}" for name in ("Dying", "Straight")]
     words = ["benchmark", str(suite), "--entry", *entries, "--out", "out"]
 
