@@ -160,6 +160,7 @@ def test_the_page_lists_every_name():
     assert sorted(name for row in rows for name in re.findall(r"`(\w+)`", row)) == sorted(vg.PUBLIC)
 
 
+@pytest.mark.slow
 def test_the_page_maps_posed_images_and_plans_in_the_map():
     names = run("map")
     assert names["path"].found
@@ -167,6 +168,7 @@ def test_the_page_maps_posed_images_and_plans_in_the_map():
     assert np.median(np.abs(first - seen)) < 0.1  # what the map renders is what the camera saw
 
 
+@pytest.mark.slow
 def test_the_page_runs_prism():
     names = run("prism")
     assert names["how"].status.message == "ok"
@@ -217,6 +219,7 @@ def off(truth: np.ndarray, estimate: np.ndarray) -> float:
     return float(np.linalg.norm(truth[:, :3, 3] - estimate[:, :3, 3], axis=1).max())
 
 
+@pytest.mark.slow
 def test_the_page_draws_futures():
     names = run("futures")
     assert names["ends"].shape == (12, 3)

@@ -145,6 +145,7 @@ def test_only_bounds_read_the_pose():
     assert [name for name in ON_FOOT if AGENTS[name].needs_pose] == ["oracle", "slam_nav_true_pose"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ON_FOOT)
 def test_same_seed_same_actions(name, learned):
     """Actions repeat between two objects, and after an episode that ran before; they stay within the limits."""
@@ -343,6 +344,7 @@ def test_dead_reckoning_states_its_error_correctly():
     assert found["in_95"] == pytest.approx(0.95, abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_error_of_a_map_is_in_the_stated_covariance(learned):
     """A map whose one keyframe is off by 10 cm along x and 2 cm along y, for a robot that looks along y."""
     start, command = np.array([1.0, 1.0, math.pi / 2.0]), np.array([0.05, 0.0, 0.0])

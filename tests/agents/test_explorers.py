@@ -97,6 +97,7 @@ def test_explorers_cover_both_rooms_and_stop(name, world):
         assert set(decision.latency) == {"tracking", "planning", "control"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=pytest.mark.slow) if n == "mi_explorer" or n in ESTIMATED else n for n in EXPLORERS],

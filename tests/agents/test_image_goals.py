@@ -41,6 +41,7 @@ def drive(m: VoxelMap, start: np.ndarray, taken: np.ndarray, agent=None, steps: 
     return decisions, planar
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "taken", [pytest.param((4.3, 0.6, 2.5), marks=pytest.mark.slow), (0.8, 2.2, -0.8), (3.0, 2.0, -2.4)]
 )
@@ -110,6 +111,7 @@ def test_an_image_of_nowhere_is_never_arrived_at(kind, learned):
     assert decisions[-1].status == NOWHERE
 
 
+@pytest.mark.slow
 def test_a_match_that_keeps_moving_away_is_refuted(learned, monkeypatch):
     """Each comparison at its place moves the pose on by 0.6 m: the robot follows it three times, and then not again."""
     start = np.array([1.0, 1.0, 1.0])

@@ -53,6 +53,7 @@ def dark(k: int, images: Images) -> Mapping[str, np.ndarray]:
     return last if k < FROM else {**last, "rgb": np.zeros_like(last["rgb"]), "depth": np.zeros_like(last["depth"])}
 
 
+@pytest.mark.slow
 def test_images_that_freeze_for_a_while_are_noticed_and_bridged(learned):
     """The robot stands while its camera is frozen; then the images fit where its commands have led it."""
     decisions, errors, away = run("astar", learned, frozen(20))
@@ -74,6 +75,7 @@ def test_a_camera_that_fails_for_good_ends_the_task(name, fault, learned):
     assert not any(decision.status.startswith("arrived") for decision in decisions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["astar", "no_map"])
 def test_a_robot_that_is_carried_off_says_that_it_is_lost(name, learned):
     """Behind the wall, turned round: it says so at once, soon after each false fit, and claims no arrival elsewhere."""
@@ -84,6 +86,7 @@ def test_a_robot_that_is_carried_off_says_that_it_is_lost(name, learned):
     assert max((len(list(steps)) for bad, steps in groupby(wrong) if bad), default=0) <= SILENT_STEPS
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_carried_off_finds_itself_in_all_of_the_map(learned):
     """From the first room into the other, turned round: its estimate is right again, and it arrives."""
     decisions, errors, away = run("astar", learned, frozen(0), carried=np.array([3.1, 1.9, -2.0]))

@@ -51,6 +51,7 @@ def run(agent: Agent, steps: int, scene="pillars-v1", **keywords) -> tuple[list[
     return [one.action for one in decisions], decisions, infos
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", AGENTS)
 def test_an_episode_runs_on_scans_alone_and_repeats(name):
     agent = AGENTS[name]()

@@ -47,6 +47,7 @@ def test_a_car_is_judged_by_its_own_noise():
     assert first_noticed(car, driven(car, command, 1.0, 60, jnp.zeros(3)), command) is None
 
 
+@pytest.mark.slow
 def test_noise_is_not_noticed():
     """None of 20 drives of 100 steps with the noise of the transition goes too far."""
     keys = jax.random.split(jax.random.key(0), (100, 20))

@@ -98,6 +98,7 @@ def test_a_goal_is_found_by_its_scan():
     assert np.mean([episode(ScanGoalAgent(), task, encoder=encoder)["success"] for task in (60, 300, 480)]) == 1.0
 
 
+@pytest.mark.slow
 def test_an_episode_that_goes_on_sends_it_to_the_next_place(monkeypatch):
     """Two places explain the scan and the likelier one is wrong: its stop ends nothing, and it drives to the other."""
     task = MAZE.tasks.tasks[60]

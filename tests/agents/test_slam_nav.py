@@ -51,6 +51,7 @@ def test_a_robot_arrives_in_an_apartment_that_nobody_has_mapped(learned):
     assert plan.state(np.array([2.5, 1.0])) == OCCUPIED  # the wall, which it has driven around
 
 
+@pytest.mark.slow
 def test_the_plan_changes_only_where_what_lies_ahead_has(learned):
     """Without anything new to see the planner is not called: neither in a known map nor where all was seen."""
     for surroundings, world in ((KnownMap(TruePose()), learned), (GrowingMap(MapAtObservedPose()), None)):

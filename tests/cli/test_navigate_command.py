@@ -142,7 +142,7 @@ def test_the_row_is_that_of_a_sweep_of_the_task(rooms, tmp_path, number):
     swept = episode.identity(apartment.content_hash()) | swept
     for name in ("geodesic", "spl", "soft_spl"):  # files of tasks round the geodesic to a micrometre
         assert row.pop(name) == pytest.approx(swept.pop(name), abs=1e-6)
-    timed = {"latency", "version", "config_hash", "map_hash"}
+    timed = {"latency", "version", "processor", "config_hash", "map_hash"}
     assert {k: v for k, v in row.items() if k not in timed} == {k: v for k, v in swept.items() if k not in timed}
     with pytest.raises(InputError, match="never overwritten"):
         navigator_run.navigate(navigator_run.prepare(drive), tmp_path / "run", video=False)

@@ -39,6 +39,7 @@ def test_a_maze_from_end_to_end(tmp_path, capsys):
         slam2d("pillars-v1", tmp_path / "out", steps=STEPS)
 
 
+@pytest.mark.slow
 def test_a_log_is_judged_by_its_loops(tmp_path, capsys):
     log = traverse(load_maze("rooms-v1"), STEPS, seed=2)
     true = log.poses

@@ -30,6 +30,7 @@ def test_scans_are_those_at_the_poses_and_motions_lead_from_one_to_the_next():
     np.testing.assert_allclose(errors(log, compose(np.array([3.0, 1.0, 0.4]), log.path())), 0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_path_integration_drifts_as_published():
     """0.14 +- 0.1 after 3000 steps (DVBF-LM, figure 4): here of four seeds in each of two mazes."""
     ends = [

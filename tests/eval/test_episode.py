@@ -266,6 +266,7 @@ class Scrambled(gym.Wrapper):
 
 
 # Compiling a tracker takes more than 5 s.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

@@ -181,6 +181,7 @@ class _Frontier:
         return self.agent.act(observation).action
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", [_Random, _Learned, _Frontier])
 def test_the_environment_and_the_protocol_agree_on_coverage_path_length_and_time(env, policy):
     """A plain Gymnasium loop and the protocol run the same seed."""

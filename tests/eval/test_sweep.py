@@ -71,6 +71,7 @@ def test_a_sweep_writes_every_episode_once_with_its_configuration(folder, finish
     assert not (folder / "whole" / "maps").exists()  # the random agent needs none
 
 
+@pytest.mark.slow
 def test_a_sweep_cut_in_the_middle_of_a_line_resumes_to_the_same_rows(folder, finished, tmp_path):
     """A kill leaves four whole lines and a half one; no row is then lost, doubled or changed."""
     lines = finished[0].read_bytes().splitlines(keepends=True)
@@ -170,6 +171,7 @@ def test_the_demo_clears_no_other_sweep_away(folder, finished, tmp_path, monkeyp
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.slow
 def test_a_sweep_that_runs_keeps_its_folder(folder, tmp_path):
     """A second one on the same folder is refused before it writes anything, whatever it is."""
     config = load_config(folder / "sweep.yaml")
@@ -186,6 +188,7 @@ def test_a_sweep_that_runs_keeps_its_folder(folder, tmp_path):
     assert len(read_rows(tmp_path / FILE)) == 6
 
 
+@pytest.mark.slow
 def test_an_interrupted_sweep_keeps_the_episodes_that_have_begun(folder, finished, tmp_path):
     """It says how many of them it waits for, writes each, and its resumption runs the others."""
     heard = []
@@ -207,6 +210,7 @@ def test_an_interrupted_sweep_keeps_the_episodes_that_have_begun(folder, finishe
     assert untimed(rows) == untimed(read_rows(finished[0]))
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_a_sweep_with_its_rows_and_resume_ends_it(folder, finished, tmp_path):
     size = len(b"".join(finished[0].read_bytes().splitlines(keepends=True)[:3])) + 10
     config = load_config(folder / "sweep.yaml")

@@ -123,6 +123,7 @@ def location_stds(frames, rate: float) -> np.ndarray:
     return np.sqrt(found)
 
 
+@pytest.mark.slow
 def test_a_standing_camera_soon_stops_drifting() -> None:
     """The last ten of forty images of one place add a tenth of the drift at most; the n-th writes 1/n of the map."""
     still = location_stds([0] * 40, 10.0)

@@ -17,6 +17,7 @@ TRACKERS = {name: FILTERS[name].make(RIG, MOTION) for name in ("adam", "emission
 each = pytest.mark.parametrize("name", TRACKERS)
 
 
+@pytest.mark.slow
 @each
 def test_the_robot_is_tracked_in_its_map(name: str) -> None:
     tracker = TRACKERS[name]

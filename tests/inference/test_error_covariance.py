@@ -173,6 +173,7 @@ class BareRoom(Room):
         return np.full(np.shape(p), 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 0.1, 0.25])
 def test_a_camera_that_slides_along_a_bare_wall_stays_inside_its_region(speed: float) -> None:
     """Nothing shows the motion along the wall: two seconds at any speed of a hand lie in the 95 % region of it."""

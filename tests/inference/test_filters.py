@@ -117,6 +117,7 @@ def off(belief, k: float) -> tuple[float, float]:
     return float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
 
 
+@pytest.mark.slow
 @every
 def test_a_body_is_followed(name: str, kind: str) -> None:
     """Assert as :func:`follow` does, with twice the error for Euler steps along an arc without correction by images."""

@@ -64,6 +64,7 @@ def refined() -> tuple[VoxelMap, EmissionScales]:
     return map_learning.refine(known_map(), train(), CONFIG, jax.random.key(0))
 
 
+@pytest.mark.slow
 def test_held_out_views_are_predicted_better(refined) -> None:
     m, _ = refined
     scales = fit_scales(known_map(), train())
@@ -141,6 +142,7 @@ def test_a_missing_surface_grows() -> None:
     assert np.median(off) < 0.05
 
 
+@pytest.mark.slow
 def test_scales_of_a_refined_map_fit_its_images(refined) -> None:
     """They are of greatest likelihood: scales of another map or narrower ones explain the images worse."""
     m, scales = refined

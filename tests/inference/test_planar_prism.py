@@ -52,6 +52,7 @@ def error(state: PrismState, planar: np.ndarray) -> tuple[float, float]:
     return float(np.hypot(*delta[:2])), abs(float(wrap_angle(delta[2:])[0]))
 
 
+@pytest.mark.slow
 def test_an_unknown_room_is_mapped_at_its_true_place() -> None:
     """On a noisy circle pose and walls stay within 2 cm, where the commands alone are off by several."""
     rng, planar, reckoned, state = np.random.default_rng(3), START, START, begin()
@@ -88,6 +89,7 @@ def test_a_turn_that_is_executed_badly_is_found(start: tuple[float, float, float
     assert metres < 0.02 and radians < 0.02
 
 
+@pytest.mark.slow
 def test_rejected_images_leave_the_map_unchanged_and_the_robot_is_relocalised() -> None:
     """During three covered images the pose follows the commands; then the robot is relocalised in the map."""
     rng, planar, state = np.random.default_rng(5), START, begin()

@@ -55,6 +55,7 @@ FRAMES = 12
 # The pose
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
 def test_a_smooth_walk_is_tracked(config: PrismConfig) -> None:
     """Over 27 cm and 13 degrees, in cells of 8 cm, every frame is within 1 cm and half a degree."""

@@ -93,6 +93,7 @@ def back_on_the_walk(state: PrismState, k: int, frames: int = 3) -> None:
     check_map(state, k + frames - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [CONFIG, EXPECTED], ids=["mean", "expectation"])
 def test_frames_that_are_dropped(config: PrismConfig) -> None:
     """Half a second has no image, while the camera moves 12 cm and 6 degrees."""

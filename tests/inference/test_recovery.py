@@ -49,6 +49,7 @@ def error(T: jax.Array, truth: np.ndarray) -> tuple[float, float]:
     return float(np.linalg.norm(xi[:3])), float(np.degrees(np.linalg.norm(xi[3:])))
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(seeds, st.floats(0.0, 0.4), st.floats(0.0, 25.0))
 def test_a_camera_carried_off_is_found_from_a_keyframe(seed: int, metres: float, degrees: float) -> None:

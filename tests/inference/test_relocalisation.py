@@ -73,6 +73,7 @@ def twins() -> Relocaliser:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [0, 7, 60, 119])
 def test_an_image_is_a_window_of_the_panorama_at_its_place(columns, flat):
     """The two are rendered along different rays and agree but for edges; at another heading they do not."""
@@ -115,6 +116,7 @@ def test_candidates_are_apart_and_in_order(flat):
             assert metres >= config.apart or turned >= config.apart_heading - cylinder.config.step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("gain", [1.0, 0.85])
 def test_a_robot_is_found_from_nowhere(seed, gain, flat, finder):
@@ -131,6 +133,7 @@ def test_a_robot_is_found_from_nowhere(seed, gain, flat, finder):
         assert found.belief is None
 
 
+@pytest.mark.slow
 def test_most_poses_are_accepted(flat, finder):
     rng, accepted = np.random.default_rng(7), 0
     for _ in range(12):
@@ -166,6 +169,7 @@ def replace_rgb(image: RGBD, rgb: jnp.ndarray) -> RGBD:
     return RGBD(image.depth, rgb, image.hit, image.known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("east", [False, True])
 def test_equal_rooms_are_ambiguous_and_both_are_hypotheses(seed, east, twins):
@@ -182,6 +186,7 @@ def test_equal_rooms_are_ambiguous_and_both_are_hypotheses(seed, east, twins):
     assert there
 
 
+@pytest.mark.slow
 def test_a_later_view_decides_between_rooms_that_differ_in_one_wall():
     """The robot stands in the east room, looks away from its east wall, and turns to it."""
     m = twin_rooms(differ=True)

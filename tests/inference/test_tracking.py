@@ -72,6 +72,7 @@ def dead_reckoning_error(drive: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return float(np.hypot(*(planar - drive[-1][1])[:2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_robot_is_tracked_in_its_map(seed: int) -> None:
     """In 30 steps round the room the error is below 1 cm and half a degree; that of commands alone is far larger."""

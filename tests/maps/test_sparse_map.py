@@ -78,6 +78,7 @@ build = jax.jit(lambda occupancy, table: empty_space.build(occupancy, (6, 5, 9),
 search_jit, march_jit = jax.jit(search), jax.jit(march)
 
 
+@pytest.mark.slow
 @given(seeds, st.integers(1, 4))
 def test_sparse_and_dense_updates_agree(seed: int, images: int) -> None:
     dense, sparse = seen(seed, images, None), seen(seed, images, SLOTS)
@@ -89,6 +90,7 @@ def test_sparse_and_dense_updates_agree(seed: int, images: int) -> None:
     np.testing.assert_array_equal(np.asarray(sparse.table.slot).ravel() != PRIOR_SLOT, observed)
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_sparse_and_dense_images_agree(seed: int) -> None:
     """Also from outside the room, where rays cross blocks that nothing is stored for."""
@@ -130,6 +132,7 @@ def test_a_surface_that_begins_in_a_block_without_storage_is_found() -> None:
     assert np.mean(np.asarray(k) == np.asarray(k_march)) > 0.98
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_queries_agree(seed: int) -> None:
     dense, sparse = seen(seed, 2, None), seen(seed, 2, SLOTS)

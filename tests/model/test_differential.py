@@ -251,6 +251,7 @@ def test_an_unknown_robot_is_refused_and_the_known_ones_are_listed() -> None:
         make(robot="tracked")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", filters_for(DifferentialDrive(DifferentialNoise(0.05, 0.004))))
 def test_every_filter_takes_it(name: str) -> None:
     """Every filter tracks the arc of the filters' room, driven on two wheels."""

@@ -125,6 +125,7 @@ def test_unobserved_pixels_have_no_finite_std(seen: VoxelMap) -> None:
         assert (std[known] >= 0.0).all()
 
 
+@pytest.mark.slow
 def test_samples_are_repeatable_and_differ(seen: VoxelMap) -> None:
     T = jnp.asarray(camera_pose((-1.0, 0.0, 1.0), 0.2), jnp.float32)
     first, again = (sample_images(jax.random.key(3), seen, T, CAMERA, samples=3) for _ in range(2))

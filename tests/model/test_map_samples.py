@@ -80,6 +80,7 @@ def drawn() -> np.ndarray:
     return np.asarray(jax.lax.map(lambda key: surface(sample_map(key, m, READING), yz), keys), float) - PLACE
 
 
+@pytest.mark.slow
 def test_the_mean_of_the_samples_is_the_map(drawn: np.ndarray) -> None:
     assert np.isfinite(drawn).all()
     assert np.abs(drawn.mean(axis=0)).max() < 4.5 * STATED / np.sqrt(DRAWS)

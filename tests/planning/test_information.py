@@ -65,6 +65,7 @@ def brute_force(m: VoxelMap, T_world_cam: np.ndarray, config: InformationConfig)
     return np.array(along)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("update_config", "sparse"),
     [

@@ -29,6 +29,7 @@ def test_the_entropy_of_a_box():
     assert float(knn_entropy(samples)) == pytest.approx(np.log(1.0), abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.6, 0.95])
 def test_the_information_of_gaussians(rho):
     """``X = rho M + noise`` of unit variance: ``I = -1/2 log(1 - rho^2)``."""
@@ -40,6 +41,7 @@ def test_the_information_of_gaussians(rho):
     assert float(found) == pytest.approx(-0.5 * np.log(1.0 - rho**2), abs=0.06)
 
 
+@pytest.mark.slow
 def test_the_information_of_many_observations_of_one_thing():
     """Sixteen readings of one number with noise of std s: ``I = 1/2 log(1 + 16 / s^2)``, from a thousand samples."""
     rng, n, maps, s = np.random.default_rng(2), 1000, 30, 0.5

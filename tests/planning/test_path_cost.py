@@ -89,6 +89,7 @@ def test_a_path_goes_around_what_costs_more_than_the_way_around(planner):
     assert planner(start, goal, cheap, RADIUS).cost == pytest.approx(straight.cost, rel=0.02)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_shortening_never_costs_more_and_stays_free(seed):

@@ -127,6 +127,7 @@ def test_roads_keep_away_from_walls():
     assert len(roads.path_to(np.array([-0.03, -0.03]))) == 0
 
 
+@pytest.mark.slow
 def test_the_choice_leads_to_what_is_unknown(known):
     """From the far end of the known half a path is chosen, and it ends where something is to be learned."""
     places = MAZE.space.sample(np.random.default_rng(0), 200)

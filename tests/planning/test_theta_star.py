@@ -27,6 +27,7 @@ def scene(obstacles: list[shapely.Polygon], seed: int) -> tuple[ClearanceMap, np
     return plan_map, start, goal
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(layouts, seeds)
 def test_the_length_lies_between_the_shortened_and_the_grid_path(obstacles, seed):
@@ -43,6 +44,7 @@ def test_the_length_lies_between_the_shortened_and_the_grid_path(obstacles, seed
     assert result.cost <= 1.02 * shortened.cost + plan_map.resolution
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(layouts, seeds)
 def test_bends_at_obstacles_only(obstacles, seed):

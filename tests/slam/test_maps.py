@@ -204,6 +204,7 @@ def test_a_map_or_drive_is_used_again_where_all_that_decides_it_agrees_and_never
     assert len(drives) == 1
 
 
+@pytest.mark.slow
 def test_exact_surfaces_are_those_of_the_scene_where_they_were_seen(recording):
     """Against the distance to the nearest box; what was not observed stays at the prior, and the index follows."""
     apartment = two_rooms(pieces=(TABLE,))

@@ -43,6 +43,7 @@ def refined(filtered):
     return refine(filtered, OPTIONS)
 
 
+@pytest.mark.slow
 def test_frames_move_and_keep_their_status(filtered, refined):
     run = refined.run
     assert [frame.status for frame in run.frames] == [frame.status for frame in filtered.frames]
@@ -115,6 +116,7 @@ def test_what_lies_between_corrected_poses_moves_with_both():
     np.testing.assert_array_equal(carried(T, nodes, turned)[nodes], turned)
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_smoothed_trajectory(tmp_path, capsys):
     folder, out = write_sequence(tmp_path / "room"), tmp_path / "out"
     slam(folder, out, size=SIZE, voxel=float(GRID[1]), extent=float(GRID[3]), refine=True)

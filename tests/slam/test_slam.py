@@ -132,6 +132,7 @@ def learned(recording, tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_tracker_localises_a_camera_in_a_known_map(vssm, recording, learned, tmp_path):
     """The start is off by 15 cm and 5 degrees; the map is unchanged, and the outputs are those of PRISM."""
     start = "0.1,-0.1,0.05,0.02,0.0436,0,0.9988"
@@ -150,6 +151,7 @@ def test_the_tracker_localises_a_camera_in_a_known_map(vssm, recording, learned,
     assert stats["map"]["voxel"] == pytest.approx(0.08)
 
 
+@pytest.mark.slow
 def test_a_tracker_with_a_wrong_start_is_lost(vssm, recording, learned, tmp_path):
     """No pose beyond the map is accepted; recovery then tries the map's origin, where the camera is."""
     options = ("--method", "tracker", "--map", learned, "--start", "50,0,0,0,0,0,1")
@@ -183,6 +185,7 @@ def test_bad_options_of_the_tracker_are_one_line(vssm, recording, learned, tmp_p
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_lost_frame_is_reported_and_does_not_change_the_map(vssm, tmp_path):
     """The recording has no ground truth: the report states that, and has no errors."""
     source = write_sequence(tmp_path / "room", strange=6)
@@ -269,6 +272,7 @@ def test_the_readings_outside_a_small_grid_are_counted(recording):
     assert 0.1 < run.frames[0].in_grid < 0.9
 
 
+@pytest.mark.slow
 def test_the_viewer_is_shown_every_frame_and_the_surface(vssm, recording, tmp_path, monkeypatch):
     shown = []
 
@@ -350,6 +354,7 @@ def test_missing_folders_and_files_are_named(vssm, recording, tmp_path):
     assert (code, "folder" in err) == (2, True)
 
 
+@pytest.mark.slow
 def test_ground_truth_of_another_time_only_removes_the_errors(vssm, recording, tmp_path):
     """With ground truth of other times the map is made nevertheless, and the reason is reported."""
     source = tmp_path / "room"
@@ -363,6 +368,7 @@ def test_ground_truth_of_another_time_only_removes_the_errors(vssm, recording, t
     assert names(tmp_path / "out") == FILES
 
 
+@pytest.mark.slow
 def test_readings_outside_the_map_give_a_warning(vssm, recording, tmp_path):
     """A depth scale five times too small puts the room's walls outside the cube."""
     source = tmp_path / "room"
@@ -382,6 +388,7 @@ def test_a_folder_with_other_content_is_refused(vssm, recording, tmp_path):
     assert names(tmp_path) == ["thesis.tex"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "result"), [("damaged", "10 frames, 1 lost"), ("missing", "9 frames, 0 lost")])
 def test_a_bad_image_gives_a_warning_and_loses_one_frame(vssm, recording, tmp_path, fault, result):
     """A missing file is no frame; one that cannot be read is a frame without a reading."""

@@ -14,6 +14,7 @@ from vssm_gym.slam.options import SlamOptions
 from vssm_gym.slam.run import run_slam
 
 
+@pytest.mark.slow
 def test_the_map_starts_at_the_first_depth(tmp_path):
     run = run_slam(load_sequence(write_sequence(tmp_path / "room", blank=2)), options())
     assert run.lost.tolist() == [True, True] + [False] * (FRAMES - 2)

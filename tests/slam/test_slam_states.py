@@ -105,6 +105,7 @@ def test_lost_frames_have_no_velocity_and_are_left_out_of_the_calibration(long_s
     assert slam_states.calibrations(run, truth)["velocity"].whitened.shape == (38, 6)
 
 
+@pytest.mark.slow
 def test_the_report_shows_every_status(long_sequence):
     """A lost frame, one without depth, one relocalised, a grid that moved, a warning; and an empty map."""
     run = made_up_run(

@@ -32,6 +32,7 @@ def ahead():
     return one
 
 
+@pytest.mark.slow
 def test_an_imagined_success_by_hand(tmp_path, ahead):
     room().save(tmp_path / "room.npz")
     (row,) = imagine(straight(), tmp_path / "room.npz", [ahead], "none")

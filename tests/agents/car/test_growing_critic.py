@@ -43,6 +43,7 @@ GROWTHS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plans", GROWTHS)
 def test_warm_started_values_equal_cold_ones(plans):
     warm, cold = critic_after(*plans), critic_after(plans[-1])
@@ -79,6 +80,7 @@ def test_it_is_computed_again_where_that_matters_only():
     assert critic.computed == 3
 
 
+@pytest.mark.slow
 def test_without_a_path_the_grid_grows_and_then_there_is_none():
     wall = (1.1, 1.2, -1.0, 2.6)  # beyond the first grid it ends
     critic = critic_after(plan(4.0, wall))
@@ -305,6 +307,7 @@ def test_it_does_not_dare_where_everything_was_seen():
     assert not critic.looks and not critic.dare(START)
 
 
+@pytest.mark.slow
 def test_the_way_around_unknown_space_is_taken_where_it_is_short():
     """Unknown cells cost their motions: a route through known space is preferred, and an unknown one is none worse."""
     dark = plan(3.0)

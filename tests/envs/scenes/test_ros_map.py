@@ -76,6 +76,7 @@ def test_a_room_by_hand(tmp_path: Path) -> None:
     check_scene(flat)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.floats(0.03, 0.3), st.floats(-math.pi, math.pi), st.booleans())
 @fixture_is_fine
 def test_free_cells_are_free_and_the_others_beside_them_are_wall(

@@ -119,6 +119,7 @@ def test_lies_between_finely_rounded_robots(obstacles: list, seed: int) -> None:
     assert found <= exhaustive(wider, ends)[0, 1] + 1e-4 or not np.all(shapely.intersects_xy(wider, ends))
 
 
+@pytest.mark.slow
 def test_within_one_percent_of_finely_rounded_corners() -> None:
     """The error stays within its bound in a room full of boxes at generic places."""
     rng = np.random.default_rng(3)

@@ -63,6 +63,7 @@ def imagined(file, kind, steps=STEPS):
     return np.array(poses)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", COMMANDS)
 def test_robots_move_as_the_transition_draws(tmp_path, kind):
     """Means and spreads of their paths are those of the transition's own, begun with the rest of a robot that stood."""
@@ -86,6 +87,7 @@ def test_robots_move_as_the_transition_draws(tmp_path, kind):
         assert (np.abs(here.std(axis=0) / std - 1.0) < 0.12).all(), k
 
 
+@pytest.mark.slow
 def test_the_same_seed_moves_robots_alike(tmp_path):
     file = saved(tmp_path, "holonomic")
     np.testing.assert_array_equal(imagined(file, "holonomic", 2), imagined(file, "holonomic", 2))
@@ -101,6 +103,7 @@ def test_a_robot_that_stops_stands(tmp_path):
     env.close()
 
 
+@pytest.mark.slow
 def test_a_transition_of_another_robot_is_refused(tmp_path):
     for file, message in (
         (saved(tmp_path, "car"), "kind: expected holonomic, the robot of this environment; found car"),

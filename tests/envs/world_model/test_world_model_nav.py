@@ -37,6 +37,7 @@ def test_both_checkers_accept_it(robot):
         theirs.check_env(env)
 
 
+@pytest.mark.slow
 def test_captions_count_the_episode_and_keep_the_picture():
     env, plain = (make(render_mode="rgb_array", captions=captions, **EXACT).unwrapped for captions in (True, False))
     assert env.render() is None
@@ -208,6 +209,7 @@ def test_the_same_seed_gives_the_same_bytes():
     assert rollout(one, 4) != first
 
 
+@pytest.mark.slow
 def test_robot_i_has_the_stream_of_seed_plus_i_however_many_there_are():
     many = make_vec(3)
     observations, infos = many.reset(seed=5)
@@ -217,6 +219,7 @@ def test_robot_i_has_the_stream_of_seed_plus_i_however_many_there_are():
         np.testing.assert_allclose(observations["scan"][i], alone["scan"], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_slices_of_robots_are_stepped_as_one(monkeypatch):
     """Two slices give the observations, rewards and tasks of one, restarts by mask included."""
     seen = []

@@ -29,6 +29,7 @@ def emitted(m: VoxelMap, pose: np.ndarray, camera: Camera) -> emission.RGBD:
     return emission.render(m, jnp.asarray(T_world_cam, jnp.float32), camera)
 
 
+@pytest.mark.slow
 def test_a_scan_is_the_horizontal_row_of_the_emission():
     camera = Camera.from_hfov(64, 1, np.pi / 2)
     view = ImaginedCamera.scan([room()], camera, T_BODY_CAM, 8.0)
@@ -109,6 +110,7 @@ def test_no_surface_is_skipped_in_any_map(kind):
     assert later > 0.03 * 4 * n or kind not in SURFACES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_surface_is_skipped_in_any_image(kind):
     """Blocks of pixels advance together: from inside and outside the map, at sizes that are no multiple of a block."""

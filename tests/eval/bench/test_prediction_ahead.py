@@ -78,6 +78,7 @@ def given(data: Windows, fitted: Windows) -> Judged:
     return Judged("a drive", "holonomic", DT, data, DT * LENGTH * np.arange(len(data)), fitted, "another drive", ())
 
 
+@pytest.mark.slow
 def test_integration_of_its_own_motion_has_no_error_and_its_envelopes_hold() -> None:
     one = given(driven(8, 1), driven(8, 2))
     euler = fit_euler(correcting_nothing(), one.fitted, DT, (0.0, 0.0))
@@ -89,6 +90,7 @@ def test_integration_of_its_own_motion_has_no_error_and_its_envelopes_hold() -> 
     np.testing.assert_allclose(found.paths[0].truth[1:], found.paths[0].mean, atol=0.1)
 
 
+@pytest.mark.slow
 def test_the_noise_of_integration_is_that_of_the_motion_that_it_is_fitted_to() -> None:
     """White noise of 1 cm and 0.01 rad a step is found again, and no other size of it has a higher density."""
     one = given(driven(8, 3, 0.01), driven(8, 4, 0.01))
@@ -105,6 +107,7 @@ def test_the_noise_of_integration_is_that_of_the_motion_that_it_is_fitted_to() -
     assert density[0.3].held[:, 0].mean() < 0.6  # the gate opens for too little noise
 
 
+@pytest.mark.slow
 def test_a_transition_that_corrects_nothing_is_integration() -> None:
     """The same errors, and the same rows but for the draws."""
     one = given(driven(8, 5, 0.01), driven(8, 6, 0.01))

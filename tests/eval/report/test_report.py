@@ -272,6 +272,7 @@ def test_the_map_from_above_shows_walls_dark_tables_in_colour_and_the_unknown_gr
     np.testing.assert_allclose(at(1.8, 1.2), 0.675, atol=1e-3)  # the grey floor
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", BASELINES, ids=lambda path: path.name)
 def test_committed_rows_have_a_report(folder, tmp_path):
     """The committed rows have no traces, latencies and maps; the page leaves these out."""
@@ -289,6 +290,7 @@ def test_committed_rows_have_a_report(folder, tmp_path):
     assert "nan" not in page.text.lower().split()
 
 
+@pytest.mark.slow
 def test_a_report_is_written_to_the_given_path_or_not_at_all(sweep_folder, tmp_path):
     before = (sweep_folder / "report.html").read_bytes()
     (sweep_folder / "report.html").unlink()

@@ -23,6 +23,7 @@ def test_rows_have_the_same_outcome_once_more(sweep, tmp_path, capsys):
     assert len(again) == 4
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on(sweep, tmp_path, capsys):
     out = tmp_path / "again"
     reproduce(sweep, out, episodes=4, workers=1)

@@ -24,6 +24,7 @@ def row(method="latent", maze="rooms-v1", traversal=0, seed=0, end=0.01):
     return {"maze": maze, "traversal": traversal, "method": method, "seed": seed} | judged | shared
 
 
+@pytest.mark.slow
 def test_a_study_from_end_to_end_goes_on_where_it_stopped(tmp_path, capsys):
     maze_slam(tmp_path / "out", **SMALL, methods="odometry,occupancy")
     rows = read_rows(tmp_path / "out" / MAZE_SLAM_ROWS, MazeSlamRow)

@@ -76,6 +76,7 @@ def test_bad_options_write_nothing(tmp_path: Path, field: str, change: dict[str,
     assert not (tmp_path / "out" / "pose-ambiguity.json").exists()
 
 
+@pytest.mark.slow
 def test_the_study_runs_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A few particles and scans: the belief shrinks from the prior, and the command writes its files."""
     monkeypatch.setattr(ambiguity_study, "MAPPING_STEPS", 60)

@@ -73,6 +73,7 @@ IMAGE = {"env": ("vssm_gym/ImageNav-v0",)}
 EXPLORE = {"env": ("vssm_gym/Explore-v0",), "explore": ExploreSettings(steps=20)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "agent", "rate"),
     [

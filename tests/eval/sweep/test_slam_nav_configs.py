@@ -19,6 +19,7 @@ CONFIGS = CHECKOUT / "eval" / "configs"
 CLASSES = {"small": (1, 3, "test"), "medium": (4, 7, "test"), "train": (1, 7, "train")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CLASSES)
 def test_a_list_holds_scenes_of_its_class_and_split(kind: str) -> None:
     config = load_config(CONFIGS / f"slam_nav_{kind}.yaml")

@@ -31,6 +31,7 @@ def configuration(folder, tasks, name, extra=""):
     return load_config(folder / "s.yaml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("tasks.json", marks=pytest.mark.slow), "val.json.gz"])
 def test_a_sweep_drives_the_tasks_of_a_file(tmp_path, tasks, name):
     config = configuration(tmp_path, tasks, name)

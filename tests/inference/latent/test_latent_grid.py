@@ -113,6 +113,7 @@ def test_three_poses_are_enumerated():
     np.testing.assert_allclose(each.mean(axis=0) / each.mean(axis=0).sum(), exact, atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_motion_and_a_scan_against_an_enumeration_of_poses():
     """With a known map, ``scans + motions + entropy`` of one step is below the evidence of all places along a line.
 

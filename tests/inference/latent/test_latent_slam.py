@@ -60,6 +60,7 @@ def test_backwards_as_a_batch():
     np.testing.assert_allclose(of_found[:, 0, 0], np.diag(np.linalg.inv(precision)), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_drive_is_better_than_its_odometry(drive, run):
     integrated, off = errors(drive, drive.path()), errors(drive, run.poses)
     assert off.mean() < 0.6 * integrated.mean() and off.max() < 0.05
@@ -78,6 +79,7 @@ def test_its_map_predicts_scans(drive, run):
     assert np.median(off) < 0.025 and off.mean() < 0.4 * unknown.mean()
 
 
+@pytest.mark.slow
 def test_a_minibatch_estimates_the_bound(drive, run):
     """The mean over minibatches is the bound of all steps; poses or a map that know less have a lower one."""
     transition = Odometry((0.001, 0.001, 0.006), (0.02, 0.02, 0.02))
@@ -119,6 +121,7 @@ def test_numbers_that_do_not_fit_are_refused(field, kind):
         LatentConfig(**{field: kind(0)})
 
 
+@pytest.mark.slow
 def test_strips_are_tracked_by_charts_of_colours():
     drive = traverse(load_maze("pillars-v1"), 900, seed=0, sensor="camera", beams=32)
     found = run_strips(drive, 0.1, passes=1, config=StripConfig(latents=12, particles=100))

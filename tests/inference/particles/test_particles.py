@@ -148,6 +148,7 @@ def test_weights_that_are_all_zero_are_equal():
     assert float(effective_number(jnp.full(4, -jnp.inf))) == pytest.approx(4.0)
 
 
+@pytest.mark.slow
 def test_particles_of_a_gaussian_have_its_moments():
     """Near a heading of pi, where angles wrap; weights that undo a proposal leave the moments too."""
     A = np.array([[0.2, 0.0, 0.0], [0.1, 0.3, 0.0], [0.05, -0.1, 0.2]])

@@ -130,6 +130,7 @@ def drive() -> LaserLog:
     return traverse(MAZE, 400, seed=1)
 
 
+@pytest.mark.slow
 def test_a_drive_is_tracked_better_than_by_its_odometry(drive):
     run = run_scans(drive, CELL)
     off, integrated = errors(drive, run.poses), errors(drive, drive.path())
@@ -195,6 +196,7 @@ def test_an_occupancy_map_is_a_model_of_scans(mapped):
     np.testing.assert_allclose(again.ranges(states), predicted, atol=6.0 * CELL)
 
 
+@pytest.mark.slow
 def test_unknown_space_of_a_drawn_map_lets_beams_pass():
     """The first thing that a beam meets there is ``free_path`` cells away on average, and no draw skips what is solid.
 

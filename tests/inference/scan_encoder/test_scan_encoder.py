@@ -50,6 +50,7 @@ def test_densities_integrate_to_one():
     assert np.abs(np.asarray(q.sample(jax.random.key(0), 50)[:, 2])).max() <= np.pi
 
 
+@pytest.mark.slow
 def test_poses_of_a_room_are_recovered(encoder):
     states = truth(20, seed=5)
     scans = np.asarray(PILLAR.ranges(states))

@@ -72,6 +72,7 @@ def smoothed(
     return smooth(jax.random.key(0), spatial(camera), start, q, CONTROLS, seen_images, jnp.full(TIME - 1, 0.2), config)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", [MeanField, Chain])
 def test_the_bound_rises_and_poses_come_nearer(family: type[MeanField | Chain]) -> None:
     found = smoothed(family)

@@ -115,6 +115,7 @@ def test_the_elements_are_integrated_out_of_the_border() -> None:
     np.testing.assert_allclose(border.by_region[0], gradient, rtol=1e-3, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_the_calibration_is_found_with_the_poses(found: Smoothed) -> None:
     assert found.colour is not None
     before, after = STATED.difference(TRUE), found.colour.difference(TRUE)

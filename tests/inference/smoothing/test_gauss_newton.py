@@ -60,6 +60,7 @@ def found():
     return smoothed(disturbed())
 
 
+@pytest.mark.slow
 def test_a_disturbed_trajectory_is_found(found):
     before, after = (np.abs(errors(states)).max(axis=0) for states in (disturbed(), found.states))
     assert before.max() > 0.02

@@ -60,6 +60,7 @@ def test_it_is_a_filter():
     assert isinstance(SMOOTHER, Filter)
 
 
+@pytest.mark.slow
 def test_it_follows_the_camera_from_nothing(run):
     assert all(info.status is Status.OK for _, info, _ in run)
     errors = np.stack([error(info, k) for k, (_, info, _) in enumerate(run, 1)])

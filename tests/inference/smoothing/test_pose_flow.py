@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -118,6 +119,7 @@ def test_a_draw_states_the_density_that_log_prob_finds():
     assert off.max() < 0.05  # near half a turn single precision does not resolve the chart
 
 
+@pytest.mark.slow
 def test_the_density_is_the_change_of_variables():
     """``log q = log N(eps) - log |T^-1 dT / d eps|``, the Jacobian by automatic differentiation."""
     q = bent()

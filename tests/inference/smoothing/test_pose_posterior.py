@@ -128,6 +128,7 @@ def test_a_draw_without_a_density_has_no_part():
     assert all(np.isfinite(value).all() for value in overflown)
 
 
+@pytest.mark.slow
 def test_rounds_without_a_density_change_nothing():
     """The density is defined in a ball that few draws reach: they alone count; where none does, ``fit`` says so."""
     q = PoseFlow.around(jax.random.key(0), NOMINAL, 1.5)
@@ -203,6 +204,7 @@ def test_a_flow_keeps_two_modes_where_a_gaussian_keeps_one():
     assert float(bound(jax.random.key(5), gaussian, Flat(), target, 4000)) < -np.log(2.0) + 0.1
 
 
+@pytest.mark.slow
 def test_a_view_counts_every_pixel_and_widens():
     """The likelihood of the image that is predicted falls as the camera moves, and less so where it is wide."""
     m = VoxelMap.prior((-1.0, -1.0, 0.5), 0.1, (16, 16, 16))

@@ -125,6 +125,7 @@ def test_the_distance_from_the_drive_is_reported():
     assert drive.follow(away, 0.0, CAR).deviation > 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("grid", "start", "goal"),
     [

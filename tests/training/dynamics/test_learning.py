@@ -161,6 +161,7 @@ def simulated(transition, count, steps, seed):
     return Windows(states, jnp.broadcast_to(controls, (count, *controls.shape)))
 
 
+@pytest.mark.slow
 def test_calibration_finds_the_noise_of_a_simulated_system():
     """Networks whose noise is half, or three times, that of what happens are given it back, within a step of gains."""
     true = noisy_transition(NOMINALS["holonomic"](), (0.02, 0.05), 3)

@@ -59,6 +59,7 @@ def test_the_likelihood_of_one_step_is_the_gaussian_of_the_difference() -> None:
     assert float(found) == pytest.approx(wanted, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_few_updates_already_raise_the_likelihood() -> None:
     drives = simulated(2, 16, steps=5)
     short, long = (fit_odometry(drives, updates).log_likelihood for updates in (1, 30))

@@ -45,6 +45,7 @@ def config(map_file: Path, **changes: Any) -> TrainingConfig:
     return TrainingConfig.model_validate(fields | changes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames", [1, 3])
 def test_robots_see_what_the_vector_environment_shows(map_file, frames):
     """The same actions from the same states lead to the same inputs, rewards and ends."""
@@ -125,6 +126,7 @@ def test_a_training_resumes_where_it_was(map_file, tmp_path):
     assert "torch" not in libraries
 
 
+@pytest.mark.slow
 def test_a_diverged_training_keeps_what_was_finite(map_file, tmp_path, monkeypatch):
     for name in ("ROW_SECONDS", "CHECKPOINT_SECONDS"):
         monkeypatch.setattr(run_module, name, 0.0)

@@ -45,6 +45,7 @@ def test_the_pose_of_a_picture_is_the_likeliest_match(found):
     assert max(one.correlation for one in others) < best.correlation - 0.1
 
 
+@pytest.mark.slow
 def test_matches_are_apart_and_the_likeliest_first(found):
     matches, config = found.matches.all, CONFIG.matches
     values = [one.log_prob for one in matches]
@@ -111,6 +112,7 @@ def test_half_of_a_view_is_enough_to_be_found(learned):
     assert best.share < 0.6
 
 
+@pytest.mark.slow
 def test_places_from_which_most_is_unseen_are_rendered_first(monkeypatch):
     """One of two rooms is known, of the other only what is low, until all of it becomes known, too."""
     wall = [(shapely.box(2.45, 0.0, 2.55, 3.0), 0.0, 2.5)]

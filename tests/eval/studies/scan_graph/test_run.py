@@ -115,6 +115,7 @@ def test_a_slip_is_searched_for():
     assert errors(log, run_scan_graph(log, CELL).poses)[-1] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimiser")
 def test_a_maze_from_end_to_end():
     log = traverse(load_maze("pillars-v1"), 300, seed=1)
