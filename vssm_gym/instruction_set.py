@@ -1,8 +1,8 @@
-"""Compute with instructions that every x86-64 processor since 2015 has, so that a seed gives the same numbers on all.
+"""Compute with AVX2 and nothing wider, so that a seed gives the same numbers on x86-64 processors of several kinds.
 
 NumPy and OpenBLAS (in NumPy and SciPy) choose the widest instructions that a processor has, and sum in an order that
-follows from them. The last digit differs then, and an episode of some hundred steps ends elsewhere. With AVX2 episodes
-repeat everywhere (``vssm-gym reproduce``). Numba and XLA keep their choice, which changes no bit of their results as
+follows from them. The last digit differs then, and an episode of some hundred steps ends elsewhere. With AVX2 alone
+episodes repeat (``vssm-gym reproduce``). Numba and XLA keep their choice, which changes no bit of their results as
 long as no kernel allows the compiler to reorder sums (``fastmath``).
 
 Each library reads its variable when it is loaded: where NumPy was imported before ``vssm_gym``, it keeps its choice.

@@ -25,18 +25,6 @@ from vssm_gym.geometry.transforms import wrap_angle
 from vssm_gym.maps.voxel_map import VoxelMap
 
 
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    """Run the console script in this process: ``vssm("dataset", ...) -> (exit code, stdout, stderr)``."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
-        code = main_module.main()
-        return code, *capsys.readouterr()
-
-    return run
-
-
 def test_habitat_files_come_and_go(vssm, tmp_path):
     first, tasks, back = (tmp_path / name for name in ("a.json.gz", "tasks.json", "b.json.gz"))
     assert vssm("dataset", "to-habitat", "oak", "--count", 4, "--out", first)[1] == f"4 episodes: {first}\n"

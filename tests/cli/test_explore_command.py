@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import sys
 
 import imageio.v2 as imageio
 import numpy as np
@@ -11,7 +10,6 @@ from PIL import Image
 
 from vssm_gym.agents.base import Decision
 from vssm_gym.agents.exploration.mi_explorer import Tour
-from vssm_gym.cli import main as main_module
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.video.explorer_recording import EVERY, Recording
 from vssm_gym.eval.video.pictures import plan_image
@@ -20,19 +18,6 @@ from vssm_gym.maps.voxel_map import VoxelMap
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 
 STEPS = 41
-
-
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    """Run the console script in this process: ``vssm("explore", ...) -> (exit code, stdout, stderr)``."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
-        code = main_module.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Test ``vssm-gym navigate``: a run with its video, picture, row and map, and what is refused before anything runs."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from vssm_gym.agents.registry import make_agent
 from vssm_gym.agents.shared.mapping import MapAtObservedPose
 from vssm_gym.agents.shared.own_map import OwnMap, OwnMapConfig
 from vssm_gym.cli import demo as demo_module
-from vssm_gym.cli import main as main_module
 from vssm_gym.cli import navigate as navigate_module
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.envs.scenes.scene import load_scene, save_scene
@@ -68,19 +66,6 @@ class Mapping:
             plan=np.stack([pose[:2], goal]),
             covariance=covariance,
         )
-
-
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    """Run the console script in this process: ``vssm("navigate", ...) -> (exit code, stdout, stderr)``."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
-        code = main_module.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 @pytest.fixture(scope="module")
