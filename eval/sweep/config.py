@@ -32,11 +32,13 @@ DEFAULT_VOXEL = 0.05  # m: the truncation band of two cells is then no thicker t
 
 def _task_ids(value: Any) -> Any:
     """Parse ``100`` (the first hundred test tasks), ``"20-39"`` (these numbers, both included) or a list."""
-    expected = "a number of tasks, a range like 20-39 or a list of task numbers"
+    expected = "a number of tasks (at least 1), a range like 20-39 or a list of task numbers"
     if isinstance(value, bool):
         raise ValueError(expected)
     if isinstance(value, int):
-        value = f"0-{value - 1}" if value > 0 else ()
+        if value < 1:
+            raise ValueError(f"{expected}, found {value}")
+        value = f"0-{value - 1}"
     if not isinstance(value, str):
         return as_tuple(value)
     found = _RANGE.fullmatch(value)

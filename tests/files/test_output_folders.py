@@ -1,12 +1,13 @@
 """Output folders: one run at a time, nothing of another run is ever replaced, and a refusal leaves no trace."""
 
 import os
+import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, OutputError
 from vssm_gym.files.output_folders import (
     Owner,
     check_file,
@@ -200,4 +201,12 @@ def test_what_would_stop_a_whole_folder_in_the_end_is_refused_at_once(tmp_path: 
 def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
     for context in (owned_folder(tmp_path / ("x" * 300), SWEEP), whole_folder(tmp_path / ("x" * 300))):
         with pytest.raises(InputError, match="folder: expected the name of a folder"), context:
+            pass
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="has no /proc")
+def test_a_folder_that_takes_no_entries_is_an_error_of_its_own(tmp_path: Path) -> None:
+    unmakeable = Path("/proc/x")  # root may write to /proc, says access; the kernel has no such file
+    for context in (owned_folder(unmakeable, SWEEP), whole_folder(unmakeable), owned_folder(unmakeable / "y", SWEEP)):
+        with pytest.raises((InputError, OutputError), match=r"/proc"), context:
             pass

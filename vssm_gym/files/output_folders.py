@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, OutputError
 from vssm_gym.files.atomic import TEMPORARY, atomic_write, refusals_named, remove_temporaries
 from vssm_gym.files.json_file import read_json
 
@@ -67,7 +67,7 @@ def owned_folder(out: Path, owner: Owner, resume: bool = False) -> Iterator[None
     if not (out / LOCK).is_file() or (out / LOCK).is_symlink():  # of a run that is running, or was killed
         _check_owner(out, owner, resume)
     made = not out.exists()
-    with refusals_named(out):
+    with _entries_refused(out):
         out.mkdir(parents=True, exist_ok=True)
     try:
         with _locked(out / LOCK, out):
@@ -96,7 +96,7 @@ def whole_folder(out: Path) -> Iterator[Path]:
         OutputError: it cannot be written.
     """
     check_new_folder(out)
-    with refusals_named(out):
+    with _entries_refused(out):
         out.parent.mkdir(parents=True, exist_ok=True)
     target = out.resolve()  # a link to an empty folder stays one
     with _locked(target.with_name(f".{target.name}{LOCK}"), out):
@@ -215,6 +215,19 @@ def _passes(name: str) -> bool:
 
 
 @contextlib.contextmanager
+def _entries_refused(path: Path) -> Iterator[None]:
+    """Raise :class:`OutputError` where the block cannot make ``path``, or the folders above it.
+
+    File systems that the kernel fills itself (/proc) say that there is no such file.
+    """
+    try:
+        with refusals_named(path):
+            yield
+    except FileNotFoundError as error:
+        raise OutputError(path, "nothing can be made in this folder") from error
+
+
+@contextlib.contextmanager
 def _locked(path: Path, out: Path) -> Iterator[None]:
     """Hold an exclusive lock, which the system releases with the process, however that ends.
 
@@ -233,7 +246,7 @@ def _locked(path: Path, out: Path) -> Iterator[None]:
 def _lock_file(path: Path, out: Path) -> int:
     """Return the descriptor of the locked file; the owner before may remove the file between opening and locking."""
     while True:
-        with refusals_named(path):
+        with _entries_refused(path):
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
             with refusals_named(path):

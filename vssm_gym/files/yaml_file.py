@@ -84,4 +84,6 @@ def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) ->
         return InputError(path, field, f"one of the fields {', '.join(model.model_fields)}")
     if problem["type"] == "missing":
         return InputError(path, field, "this field")
+    if problem["type"] == "too_short":
+        return InputError(path, field, f"at least {problem['ctx']['min_length']} value; found none")
     return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))
