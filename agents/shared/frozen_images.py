@@ -1,11 +1,12 @@
 """Notice frozen images: they repeat although the robot was commanded to move.
 
-    p_k = erfc(d_k / sqrt 2),   d_k^2 = m_k^T Q_k^-1 m_k,   frozen where  prod_k p_k < FrozenConfig.probability
+    p_k = erfc(d_k / sqrt 2),   d_k^2 = m_k^T Q_k^-1 m_k,   suspect where  prod_k p_k < FrozenConfig.suspect
 
 ``m_k`` is the motion that command ``k`` asks for, ``Q_k`` the covariance of its noise, and ``p_k`` the probability of
 an error as large as the whole motion. A live camera repeats its image only while the robot stands: ``p_k = 1`` where
 it was commanded to stand, so that a standing robot's images may repeat for ever. An obstacle may hold a robot in its
-place too, but it does not keep it from turning: only commands to turn prove that the camera failed.
+place too, but it does not keep it from turning: only commands to turn prove that the camera failed. The same product
+over the commanded turns alone has to fall below ``FrozenConfig.frozen`` for that.
 """
 
 import math
@@ -34,7 +35,10 @@ class Liveness(Enum):
 class FrozenConfig:
     """Configure how much evidence is asked for."""
 
-    probability: float = 1e-3  # that a robot stands in spite of its commands: of chance events, one in a thousand
+    suspect: float = 1e-3  # probability that the robot stands in spite of its commands
+    # Probability that it was not turned in spite of them. It then stands for good, and chance must not cause that: at
+    # noise high a tenth of the turns of 0.2 rad is not carried out, and four in a row are not in one of 10,000.
+    frozen: float = 1e-6
     # Repeated images at least. The navigator notices within three full steps that something holds its robot.
     images: int = 4
 
@@ -69,9 +73,9 @@ class FrozenImages:
         held, unturned = self._still(command)
         self._held, self._unturned = self._held * held, self._unturned * unturned
         self.repeats, self._moves = self.repeats + 1, self._moves + (held < 1.0)
-        if self._moves < self._config.images or self._held >= self._config.probability:
+        if self._moves < self._config.images or self._held >= self._config.suspect:
             return Liveness.LIVE
-        return Liveness.FROZEN if self._unturned < self._config.probability else Liveness.SUSPECT
+        return Liveness.FROZEN if self._unturned < self._config.frozen else Liveness.SUSPECT
 
     def _still(self, command: np.ndarray) -> tuple[float, float]:
         """Return the probabilities of errors as large as the commanded motion, and as the commanded turn."""

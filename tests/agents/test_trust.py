@@ -116,16 +116,16 @@ def test_a_dark_image_is_no_reading(depth):
 
 
 def test_frozen_images_are_replaced_by_the_commands_that_they_deny():
-    """Once a turn has shown that the camera is frozen, the belief is where all commands since then have led."""
+    """Once two turns have shown that the camera is frozen, the belief is where all commands since then have led."""
     filter = Scripted(*[OK] * 9)
     track = judged(filter)
-    commands = [DRIVE, DRIVE, DRIVE, DRIVE, TURN, STAND]
+    commands = [DRIVE, DRIVE, DRIVE, DRIVE, TURN, TURN, STAND]
     outcomes = [track.step(command, image(0)) for command in commands]
-    assert [one.status for one in outcomes] == [OK, OK, OK, REPEATED, FROZEN, FROZEN]
-    assert [seen for _, seen in filter.steps] == [True] * 3 + [False] * 6
+    assert [one.status for one in outcomes] == [OK, OK, OK, REPEATED, REPEATED, FROZEN, FROZEN]
+    assert [seen for _, seen in filter.steps] == [True] * 3 + [False] * 7
     assert [command for command, seen in filter.steps if not seen] == [tuple(c.tolist()) for c in commands]
-    np.testing.assert_allclose(outcomes[-1].belief.mean, [0.64, 0.0, 0.2], atol=1e-5)
-    assert outcomes[-1].lost == 3
+    np.testing.assert_allclose(outcomes[-1].belief.mean, [0.64, 0.0, 0.4], atol=1e-5)
+    assert outcomes[-1].lost == 4
     assert track.step(STAND, image(1)).status is UNCONFIRMED
     assert filter.steps[-1] == ((0.0, 0.0, 0.0), True)
 
@@ -133,10 +133,10 @@ def test_frozen_images_are_replaced_by_the_commands_that_they_deny():
 def test_the_belief_follows_each_command_once_while_black_images_repeat():
     """A black image moves the belief by the command, the first four of them; so do the commands that follow."""
     track = judged(Scripted())
-    commands = [DRIVE, DRIVE, DRIVE, DRIVE, DRIVE, TURN, STAND]
+    commands = [DRIVE, DRIVE, DRIVE, DRIVE, DRIVE, TURN, TURN, STAND]
     outcomes = [track.step(command, image(1, depth=0.0)) for command in commands]
-    assert [one.status for one in outcomes] == [*[NO_READING] * 4, REPEATED, FROZEN, FROZEN]
-    np.testing.assert_allclose(outcomes[-1].belief.mean, [0.8, 0.0, 0.2], atol=1e-5)
+    assert [one.status for one in outcomes] == [*[NO_READING] * 4, REPEATED, REPEATED, FROZEN, FROZEN]
+    np.testing.assert_allclose(outcomes[-1].belief.mean, [0.8, 0.0, 0.4], atol=1e-5)
 
 
 class Elsewhere:
