@@ -350,6 +350,12 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors(linked), f"{ids(page)} links to {target}, which has no such heading"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_a_page_has_one_title(page):
+    titles = re.findall(r"^# +(.+)$", text_of(page), flags=re.MULTILINE)
+    assert len(titles) == 1, f"{ids(page)} has the titles {titles}"
+
+
 def test_the_index_names_every_page():
     folder = CHECKOUT / "docs"
     index = (folder / "index.md").read_text()
