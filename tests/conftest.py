@@ -72,13 +72,12 @@ def part_of_all(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the files of the part that was asked for, which are the same ones in every run and on every machine."""
-    if not (part := config.option.part):
-        return
-    chosen = lambda item: crc32(item.nodeid.split("::")[0].encode()) % part[1] == part[0] - 1
-    config.hook.pytest_deselected(items=[item for item in items if not chosen(item)])
-    items[:] = filter(chosen, items)
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Read only the files of the part that was asked for, which are the same ones on every machine."""
+    if not (part := config.option.part) or not collection_path.name.startswith("test_") or collection_path.is_dir():
+        return None
+    name = collection_path.relative_to(config.rootpath).as_posix()
+    return crc32(name.encode()) % part[1] != part[0] - 1 or None
 
 
 def pytest_configure(config: pytest.Config) -> None:

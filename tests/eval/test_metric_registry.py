@@ -1,5 +1,6 @@
 """Test every registered metric on stored rows: it equals the stored value, and the tables show it."""
 
+import functools
 import math
 
 import pytest
@@ -14,16 +15,25 @@ from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, view_of
 from vssm_gym.eval.report import summary
 from vssm_gym.eval.report.tables import Measures, results
 
-STORED = {folder.name: read_rows(folder / FILE) for folder in BASELINES}
-EVERY = {**STORED, **{name: [row] for name, row in ROWS.items()}}
 # Derived again from other fields that the row stores, and not read: the two have to agree.
 DERIVED = {"spl": ("rl",), "collided": ("exploration",)}
+
+
+@functools.cache
+def stored():
+    """Return the rows of every folder of baselines, by its name."""
+    return {folder.name: read_rows(folder / FILE) for folder in BASELINES}
+
+
+def every():
+    """Return the stored rows and an example of each report's."""
+    return {**stored(), **{name: [row] for name, row in ROWS.items()}}
 
 
 @pytest.mark.parametrize("name", METRICS)
 def test_a_metric_has_a_value_in_some_stored_row_and_equals_the_stored_one(name):
     metric, said = METRICS[name], 0
-    for source, rows in EVERY.items():
+    for source, rows in every().items():
         for row in rows:
             value = metric.function(row)
             if value is None:
@@ -33,14 +43,14 @@ def test_a_metric_has_a_value_in_some_stored_row_and_equals_the_stored_one(name)
             assert math.isfinite(value)
             least, most = within(name) or (-math.inf, math.inf)
             assert least <= value <= most
-            if source in STORED and row.get(name) is not None:
+            if source in stored() and row.get(name) is not None:
                 assert value == pytest.approx(row[name], abs=1.01e-4)  # kept to four digits
     assert said
 
 
 @pytest.mark.parametrize(("name", "folder"), [(name, folder) for name, of in DERIVED.items() for folder in of])
 def test_derived_and_stored_values_are_compared(name, folder):
-    rows = [row for row in STORED[folder] if row.get(name) is not None]
+    rows = [row for row in stored()[folder] if row.get(name) is not None]
     assert rows
     assert all(METRICS[name].function(row) == pytest.approx(row[name], abs=1.01e-4) for row in rows)
 
@@ -53,7 +63,7 @@ def test_a_metric_is_shown_in_its_reports(name):
     assert set(metric.headline) | set(metric.compared) <= set(metric.reports)
     assert metric.direction in ("higher", "lower", "neither")
     for report in metric.reports:
-        rows = [measured(row) for row in EVERY[report]]
+        rows = [measured(row) for row in every()[report]]
         assert metric.label in results(rows, 0, Measures(report)).header
 
 

@@ -123,8 +123,16 @@ def _png(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
-def _images(content: bytes, only: str = "") -> Callable[[Path], None]:
+def _packed(name: str, content: bytes, times: int) -> Callable[[Path], None]:
+    """Return what writes a gzip file of ``content`` repeated."""
+    return lambda folder: (folder / name).write_bytes(gzip.compress(content * times)) and None
+
+
+def _images(side: int, only: str = "") -> Callable[[Path], None]:
+    """Return what replaces images by a square one of ``side`` pixels."""
+
     def change(folder: Path) -> None:
+        content = _png(side, side)
         for path in folder.rglob("*.png"):
             if only in str(path):
                 path.write_bytes(content)
@@ -230,11 +238,11 @@ CHEAP: list[Case] = [
     *(("episode log", _text("episodes.jsonl", content + b"\n")) for content in NASTY),
 ]
 COSTLY: list[Case] = [  # to make: gigabytes of zeros are packed
-    ("habitat, packed", _text("val.json.gz", gzip.compress(b" " * 10**9))),
-    *(("procthor", _text("houses.jsonl.gz", gzip.compress(part * 10**8))) for part in (b"\n", b"   ")),
-    ("ros map", _images(_png(30_000, 30_000))),
+    ("habitat, packed", _packed("val.json.gz", b" ", 10**9)),
+    *(("procthor", _packed("houses.jsonl.gz", part, 10**8)) for part in (b"\n", b"   ")),
+    ("ros map", _images(30_000)),
     *(("map", _bomb("map.npz", name, 3_000_000_000)) for name in ("occupancy", "header")),
     ("map", _bomb("map.npz", "colour", 900_000_000)),
-    *(("sequence", _images(_png(20_000, 20_000), only)) for only in ("", "depth")),
+    *(("sequence", _images(20_000, only)) for only in ("", "depth")),
 ]
 SPECIAL = CHEAP + COSTLY
