@@ -8,7 +8,7 @@ import os
 import re
 import sys
 from argparse import ArgumentTypeError
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from zlib import crc32
 
@@ -103,6 +103,25 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip("no recordings beside the checkout")
     return SHARED_DATA
+
+
+@pytest.fixture
+def vssm(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int | str, str, str]]:
+    """Run the console script in this process: ``vssm("doctor", "--help") -> (exit code, stdout, stderr)``."""
+    from vssm_gym.cli import main as main_module
+
+    def run(*arguments: object) -> tuple[int | str, str, str]:
+        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
+        try:
+            code: int | str = main_module.main()
+        except SystemExit as stop:
+            code = stop.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
 
 
 @pytest.fixture(scope="module")

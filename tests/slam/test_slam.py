@@ -23,7 +23,6 @@ from tests.helpers.slam_recordings import (
     true_pose,
     write_sequence,
 )
-from vssm_gym.cli import main as main_module
 from vssm_gym.cli.slam import print_warnings
 from vssm_gym.data.sequences import FrameReader, load_sequence
 from vssm_gym.geometry.transforms import inverse, transform
@@ -38,22 +37,6 @@ from vssm_gym.viz import stream
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Path:
     return write_sequence(tmp_path_factory.mktemp("recording") / "room")
-
-
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    """Run the console script in this process: ``vssm("slam", ...) -> (exit code, stdout, stderr)``."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
-        try:
-            code = main_module.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_a_recording_becomes_a_trajectory_a_map_and_a_report(vssm, recording, tmp_path):

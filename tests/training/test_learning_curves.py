@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from vssm_gym.cli import main as main_module
 from vssm_gym.errors import InputError
 from vssm_gym.eval.metrics.aggregate import bootstrap_mean
 from vssm_gym.training.learning_curves import CURVE_POINTS, curve, figure, grouped, read_training, speed, time_to
@@ -119,22 +117,6 @@ def test_seeds_that_never_succeed_count_in_the_median(tmp_path, lasts, minutes, 
 
 
 # the command
-
-
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    """Run the console script in this process: ``vssm("curves", ...) -> (exit code, stdout, stderr)``."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
-        try:
-            code = main_module.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 @pytest.mark.parametrize("kind", ["svg", "png"])

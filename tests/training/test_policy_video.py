@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from tests.helpers.box_rooms import furniture, two_rooms
 from tests.helpers.imagined_room import room, task
 from tests.helpers.straight_policy import straight
 from vssm_gym.agents.policy import policy_file
-from vssm_gym.cli import main as main_module
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.eval.video.plans import CroppedPlan
 from vssm_gym.eval.video.writer import HOLD, VIDEO_RATE
@@ -148,19 +146,6 @@ def test_a_video_that_fails_leaves_nothing(both, tmp_path, monkeypatch):
 
 
 # the option
-
-
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    """Run the console script in this process: ``vssm("evaluate", ...) -> (exit code, stdout, stderr)``."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *map(str, arguments)])
-        code = main_module.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 @pytest.mark.parametrize("number", [-1, 3])

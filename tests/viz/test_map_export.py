@@ -2,7 +2,6 @@
 
 import json
 import struct
-import sys
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -14,7 +13,6 @@ import yaml
 from PIL import Image
 
 from tests.helpers.planning_worlds import VOXEL, voxel_map
-from vssm_gym.cli import main as main_module
 from vssm_gym.errors import InputError
 from vssm_gym.maps.planar_map import PlanarMap
 from vssm_gym.maps.voxel_map import OBSERVED_PRECISION, VoxelMap
@@ -195,17 +193,6 @@ def test_the_glb_follows_the_specification(tmp_path, faces):
     if faces:
         assert document["buffers"][0]["byteLength"] == len(chunks[b"BIN\0"])
         assert sum(view["byteLength"] for view in document["bufferViews"]) == len(chunks[b"BIN\0"])
-
-
-@pytest.fixture
-def vssm(monkeypatch, capsys):
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["vssm-gym", *arguments])
-        code = main_module.main()
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
 
 
 def test_the_command_writes_everything_at_once(vssm, learned, tmp_path):

@@ -1,7 +1,6 @@
 """Test that known drag and bias are recovered, that a learned transition beats integration, and the command."""
 
 import json
-import sys
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ import pytest
 from tests.data.test_dynamics_logs import write_recording
 from tests.helpers.dynamics.logs import circling, dragged, lagging, write_euroc
 from tests.helpers.dynamics.transitions import noisy_transition
-from vssm_gym.cli import main as main_module
 from vssm_gym.data.dynamics.log import DynamicsLog, cut
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.transforms import planar_to_matrix
@@ -186,21 +184,14 @@ def test_networks_that_agree_keep_the_spread_of_a_simulated_system():
     assert abs(coverage(whole, seen, DT).mean() - HELD_SHARE) < 0.05
 
 
-def run(monkeypatch, capsys, *arguments):
-    monkeypatch.setattr(sys, "argv", ["vssm-gym", "train-dynamics", *map(str, arguments)])
-    code = main_module.main()
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
-
-
 @pytest.mark.slow
-def test_the_command_writes_a_transition_and_a_comparison(monkeypatch, capsys, tmp_path):
+def test_the_command_writes_a_transition_and_a_comparison(vssm, tmp_path):
     for name, seed in (("a", 1), ("b", 2)):
         (tmp_path / name).mkdir()
         write_euroc(tmp_path / name, dragged(24.0, seed, BIAS), packed=True)
     out = tmp_path / "learned.npz"
     asked = (tmp_path / "a", "--out", out, "--test", tmp_path / "b", "--horizon", 10, "--updates", 4)
-    code, printed, warned = run(monkeypatch, capsys, *asked)
+    code, printed, warned = vssm("train-dynamics", *asked)
     assert code == 0
     assert "parametric" in printed
     assert str(out) in printed
@@ -217,13 +208,13 @@ def test_the_command_writes_a_transition_and_a_comparison(monkeypatch, capsys, t
         assert 0.0 <= rows["learned"]["coverage"]["position"]["all steps"] <= 1.0
     state = found.transition.manifold.resting(jnp.eye(4))
     assert np.isfinite(np.asarray(found.transition.mean(state, jnp.zeros(6), DT).body.T_world_body)).all()
-    code, _, errors = run(monkeypatch, capsys, *asked)
+    code, _, errors = vssm("train-dynamics", *asked)
     assert code == 2
     assert "new file" in errors
 
 
 @pytest.mark.slow
-def test_an_interrupted_training_keeps_its_best(monkeypatch, capsys, tmp_path):
+def test_an_interrupted_training_keeps_its_best(tmp_path):
     write_euroc(tmp_path, dragged(24.0, 1, BIAS))
 
     def interrupt(stage, done, total):
@@ -248,9 +239,9 @@ def test_an_interrupted_training_keeps_its_best(monkeypatch, capsys, tmp_path):
         (("--test", "nowhere"), "nowhere"),
     ],
 )
-def test_options_are_checked_before_anything_runs(options, expected, monkeypatch, capsys, tmp_path):
+def test_options_are_checked_before_anything_runs(options, expected, vssm, tmp_path):
     write_euroc(tmp_path, circling(4.0))
-    code, _, errors = run(monkeypatch, capsys, tmp_path, "--out", tmp_path / "a.npz", *options)
+    code, _, errors = vssm("train-dynamics", tmp_path, "--out", tmp_path / "a.npz", *options)
     assert code == 2
     assert expected in errors
     assert errors.count("\n") == 1
