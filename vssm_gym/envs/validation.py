@@ -1,5 +1,6 @@
 """Check files and keywords that users pass in: the first error becomes one `InputError`."""
 
+import re
 from typing import Any, TypeVar
 
 import numpy as np
@@ -8,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from vssm_gym.errors import InputError, did_you_mean
 
 Model = TypeVar("Model", bound=BaseModel)
+# What pydantic says of a list or a text that is too short or too long.
+LENGTH = re.compile(r"^(\w+) should have (at (?:least|most) \d+ \w+).*")
 
 
 class StrictModel(BaseModel):
@@ -35,7 +38,8 @@ def validated(model: type[Model], data: Any, source: object, at: str = "") -> Mo
             raise InputError(source, where, "this field to be present") from error
         if first["type"] == "extra_forbidden":
             raise InputError(source, where, "no such field in this format") from error
-        expected = first["msg"].removeprefix("Input should be ")
+        expected = re.sub(LENGTH, lambda found: f"a {found[1].lower()} of {found[2]}", first["msg"])
+        expected = expected.removeprefix("Input should be ").replace("String should match", "a string that matches")
         found = repr(first["input"])
         found = found if len(found) <= 80 else f"{found[:77]}..."
         raise InputError(source, where or "content", f"{expected}; found {found}") from error
