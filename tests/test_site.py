@@ -126,7 +126,7 @@ def test_the_results_state_intervals(module):
         results.figures(results.BASELINES / name).replace(results.SPACE, " ")
         for name in ("slam_car", "prediction/test.json")
     )
-    assert "| slam_car | 100 | 99.0 [94.6, 100.0] |" in car
+    assert "| slam_car | 40 | 97.5 [86.8, 99.9] |" in car
     assert "| VSSM-LM, 1.0 seconds, nats | 4.7 [4.33, 5.06] |" in study
 
 
