@@ -68,7 +68,7 @@ def test_importing_loads_the_registration_and_the_settings_of_libraries_alone():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded, later = done.stdout.splitlines()
-    expected = ["compilation_cache", "envs", "envs.registration", "instruction_set", "version"]
+    expected = ["compilation_cache", "envs", "envs.registration", "gpu_defaults", "instruction_set", "version"]
     assert ast.literal_eval(loaded) == [f"vssm_gym.{name}" for name in expected]
     assert later == "True False"
 

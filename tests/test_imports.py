@@ -37,7 +37,7 @@ BASE = {"errors", "files", "progress", "geometry"}
 ALLOWED: dict[str, set[str]] = {
     layer: {name for below in LAYERS[:height] for name in below} for height, row in enumerate(LAYERS) for layer in row
 }
-ALLOWED["version"] = ALLOWED["instruction_set"] = set()
+ALLOWED["version"] = ALLOWED["instruction_set"] = ALLOWED["gpu_defaults"] = set()
 ALLOWED["compilation_cache"] = {"instruction_set"}
 ALLOWED["envs.registration"] = set()
 ALLOWED["envs"] = BASE | {"envs.registration"}

@@ -1,9 +1,9 @@
 """vssm_gym: indoor Gymnasium environments, a spatial world model inferred in real time, and agents that plan in it.
 
 Importing the package registers its environments (``gymnasium.make("vssm_gym/PointNav-v0")``), turns on JAX's cache of
-compiled functions (:mod:`vssm_gym.compilation_cache`) and lets libraries use the same instructions on every processor
-(:mod:`vssm_gym.instruction_set`). Every public name of :data:`PUBLIC` is imported from its module when it is first
-used, and JAX and MuJoCo with it.
+compiled functions (:mod:`vssm_gym.compilation_cache`), lets libraries use the same instructions on every processor
+(:mod:`vssm_gym.instruction_set`) and JAX all digits of float32 on a GPU (:mod:`vssm_gym.gpu_defaults`). Every public
+name of :data:`PUBLIC` is imported from its module when it is first used, and JAX and MuJoCo with it.
 
     import vssm_gym as vg
 
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from vssm_gym.compilation_cache import use_compilation_cache
 from vssm_gym.envs.registration import register
+from vssm_gym.gpu_defaults import use_gpu_defaults
 from vssm_gym.instruction_set import use_common_instructions
 from vssm_gym.version import __version__
 
@@ -135,4 +136,5 @@ __all__ = ["__version__", *PUBLIC]
 
 use_common_instructions()  # before Gymnasium loads NumPy
 use_compilation_cache()
+use_gpu_defaults()
 register()
