@@ -16,7 +16,7 @@ RECORDINGS ?=
 CANDIDATES := python3.11 python3.12 python3.13 python3.14 python3
 PYTHON ?=
 
-.PHONY: help demo test test-slow coverage additions faults fuzz mutants chaos lint format docs pictures install clean
+.PHONY: help demo test test-slow coverage additions faults fuzz mutants chaos lint format docs pictures install venv clean
 
 help:
 	@echo "make demo       map an apartment, run five agents on it, write a report under $(OUT)"
@@ -36,7 +36,7 @@ help:
 
 install: $(STAMP)
 
-$(STAMP): constraints.txt pyproject.toml Makefile
+venv:
 	@chosen=""; \
 	for python in $(or $(PYTHON),$(CANDIDATES)); do \
 	  if "$$python" -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' >/dev/null 2>&1; \
@@ -48,6 +48,9 @@ $(STAMP): constraints.txt pyproject.toml Makefile
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
 	  echo "creating $(VENV) with $$chosen ($$("$$chosen" --version))"; "$$chosen" -m venv --clear $(VENV); \
 	fi
+
+$(STAMP): constraints.txt pyproject.toml Makefile
+	@$(MAKE) --no-print-directory venv
 	@echo "installing into $(VENV) (two to four minutes)"
 	@extras=dev,rl,dynamics,datasets,docs,cluster; \
 	if $(BIN)/python -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'; then extras=$$extras,bullet; \

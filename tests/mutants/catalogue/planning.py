@@ -99,9 +99,16 @@ PLANNING = (
     Mutant(
         "values-not-discounted",
         "vssm_gym/planning/value_iteration/sweeps.py",
-        "jnp.where(goal, top, gamma * _best(problem, planes, layout))",
-        "jnp.where(goal, top, _best(problem, planes, layout))",
+        "top if at_goal[k] else gamma * best[k]",
+        "top if at_goal[k] else best[k]",
         OF_VALUE,
+    ),
+    Mutant(
+        "sweeps-skip-what-a-moved-band-reaches",
+        "vssm_gym/planning/value_iteration/sweeps.py",
+        "(x + BAND_ROWS + low) // BAND_ROWS + 1",
+        "(x + BAND_ROWS + low) // BAND_ROWS",
+        ("tests/planning/car/test_sweeps.py",),
     ),
     Mutant(
         "backward-arcs-turn-as-forward-ones",

@@ -11,6 +11,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import (
     Arena,
+    Kernel,
     arena_from_map,
     cells_under,
     dilate,
@@ -63,8 +64,8 @@ def test_several_poses_are_their_union():
     planar = np.array([[0.0, 0.0, 0.3], [0.05, 0.02, 0.5], [0.1, 0.05, 0.7]])
     union = cells_under(planar, 0.035, CAR, 0.0)
     occupied = np.random.default_rng(0).random((60, 50)) < 0.01
-    each = [dilate(occupied, [cells_under(p[None], 0.035, CAR, 0.0)])[0] for p in planar]
-    assert np.array_equal(dilate(occupied, [union])[0], np.any(each, axis=0))
+    each = [dilate(occupied, [Kernel.of(cells_under(p[None], 0.035, CAR, 0.0))])[0] for p in planar]
+    assert np.array_equal(dilate(occupied, [Kernel.of(union)])[0], np.any(each, axis=0))
 
 
 @pytest.fixture(scope="module")

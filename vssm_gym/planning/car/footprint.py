@@ -6,8 +6,10 @@ The poses are cell centres, so which cells a heading's rectangle reaches is the 
 test of a whole plan is a dilation by them: exact, with no discs and no distance transform in between.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from functools import lru_cache
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -145,8 +147,14 @@ def rectangle_collisions(
     Returns:
         ``(nx, ny, n_headings)`` bool for poses with the rear axle at cell centres. Exact: contact is no overlap.
     """
-    kernels = [cells_under(np.array([[0.0, 0.0, h]]), resolution, car, margin) for h in np.asarray(headings, float)]
+    kernels = _rectangles(car, resolution, tuple(np.asarray(headings, float).tolist()), margin)
     return np.stack(dilate(occupied, kernels), axis=-1)
+
+
+@lru_cache(maxsize=16)  # depends on the car and the grid, not on the map
+def _rectangles(car: Car, resolution: float, headings: tuple[float, ...], margin: float) -> "list[Kernel]":
+    """Return the cells under the car at each heading, in this order."""
+    return [Kernel.of(cells_under(np.array([[0.0, 0.0, h]]), resolution, car, margin)) for h in headings]
 
 
 def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) -> bool:
@@ -209,7 +217,21 @@ def cells_under(planar: np.ndarray, resolution: float, car: Car, margin: float) 
     return (wide & along & (np.abs(c * dy - s * dx) < half_width + across - OVERLAP)).any(axis=0)
 
 
-def dilate(occupied: np.ndarray, kernels: list[np.ndarray]) -> list[np.ndarray]:
+class Kernel(NamedTuple):
+    """Hold the cells of a square around the origin as runs along the second axis."""
+
+    reach: int  # cells from the origin to the border of the square
+    runs: tuple[tuple[int, int, int], ...]  # (row, start, length), counted from the lowest corner of the square
+
+    @classmethod
+    def of(cls, cells: np.ndarray) -> "Kernel":
+        """Take the runs of set cells of ``(2 k + 1, 2 k + 1)`` bool, the origin in the middle."""
+        edges = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+        (row, start), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
+        return cls(len(cells) // 2, tuple(zip(row.tolist(), start.tolist(), (end - start).tolist(), strict=True)))
+
+
+def dilate(occupied: np.ndarray, kernels: Sequence[Kernel]) -> list[np.ndarray]:
     """Dilate by each kernel ``K``: ``any_(i, j) in K occupied[x + i, y + j]``.
 
     A row of a kernel is a few runs of cells. Whether a run of length ``l`` that starts at a cell meets anything is
@@ -217,33 +239,23 @@ def dilate(occupied: np.ndarray, kernels: list[np.ndarray]) -> list[np.ndarray]:
 
     Args:
         occupied: ``(nx, ny)`` bool; beyond the grid everything is occupied.
-        kernels: Bool ``(2 k + 1, 2 k + 1)`` each, the origin in the middle.
+        kernels: the sets ``K``.
     """
     nx, ny = occupied.shape
-    reach = max(len(kernel) // 2 for kernel in kernels)
+    reach = max(kernel.reach for kernel in kernels)
     padded = np.pad(np.asarray(occupied, dtype=bool), reach, constant_values=True)
     meets = [np.zeros_like(padded)]  # by length of the run
-
-    def of_length(length: int) -> np.ndarray:
-        while len(meets) <= length:
-            longer = meets[-1].copy()
-            longer[:, : padded.shape[1] - len(meets) + 1] |= padded[:, len(meets) - 1 :]
-            meets.append(longer)
-        return meets[length]
+    for length in range(1, 1 + max(run[2] for kernel in kernels for run in kernel.runs)):
+        longer = meets[-1].copy()
+        longer[:, : padded.shape[1] - length + 1] |= padded[:, length - 1 :]
+        meets.append(longer)
 
     blocked = []
     for kernel in kernels:
         out = np.zeros((nx, ny), dtype=bool)
-        shift = reach - len(kernel) // 2
-        for i, start, length in _runs(kernel):
-            x, y = i + shift, start + shift
-            np.logical_or(out, of_length(length)[x : x + nx, y : y + ny], out=out)
+        shift = reach - kernel.reach
+        for row, start, length in kernel.runs:
+            x, y = row + shift, start + shift
+            np.logical_or(out, meets[length][x : x + nx, y : y + ny], out=out)
         blocked.append(out)
     return blocked
-
-
-def _runs(kernel: np.ndarray) -> list[tuple[int, int, int]]:
-    """Return a kernel's runs of set cells along the second axis: (row, start, length)."""
-    edges = np.diff(np.pad(kernel, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    (row, start), (_, end) = np.nonzero(edges == 1), np.nonzero(edges == -1)
-    return list(zip(row.tolist(), start.tolist(), (end - start).tolist(), strict=True))

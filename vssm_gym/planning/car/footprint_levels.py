@@ -16,7 +16,7 @@ from numba import njit
 
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
-from vssm_gym.planning.car.footprint import cells_under, dilate, heading_grid, rectangle_collisions
+from vssm_gym.planning.car.footprint import Kernel, cells_under, dilate, heading_grid, rectangle_collisions
 
 CLEAR, TIGHT, COLLIDING = 0, 1, 2  # levels, see the module
 
@@ -65,7 +65,8 @@ class FootprintLevels:
         # Between its corners a bin's rectangles reach no further than this beyond those of the corners.
         bulge = car.length * (1.0 - np.cos(half[2]))
         poses = [corners + np.array([0.0, 0.0, heading]) for heading in grid]
-        touching = np.stack(dilate(occupied, [cells_under(p, resolution, car, margin + bulge) for p in poses]), axis=-1)
+        wide = [Kernel.of(cells_under(p, resolution, car, margin + bulge)) for p in poses]
+        touching = np.stack(dilate(occupied, wide), axis=-1)
         tight = rectangle_collisions(occupied, resolution, car, grid, comfort)
         levels = np.where(touching, COLLIDING, np.where(tight, TIGHT, CLEAR)).astype(np.uint8)
         return cls(np.ascontiguousarray(levels), np.asarray(origin, dtype=np.float64), float(resolution))

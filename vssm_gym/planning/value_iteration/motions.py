@@ -16,7 +16,7 @@ import numpy as np
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.arc import poses_after
 from vssm_gym.geometry.car import Car
-from vssm_gym.planning.car.footprint import cells_under, dilate, heading_grid
+from vssm_gym.planning.car.footprint import Kernel, cells_under, dilate, heading_grid
 
 MAX_MOTIONS = 31  # one bit each in a signed word of 32 bits
 
@@ -95,11 +95,11 @@ class Motions:
 
 
 @lru_cache(maxsize=4)  # depends on the car and the grid, not on the map
-def _swept_cells(motions: Motions, resolution: float, margin: float) -> list[np.ndarray]:
+def _swept_cells(motions: Motions, resolution: float, margin: float) -> list[Kernel]:
     """Return the cells under the arc of each heading and motion, in this order."""
     corner = np.abs(motions.car.corners(np.zeros(3))).max(axis=0) + margin
     sharpest = 1.0 / motions.car.turning_radius
     farthest = motions.length * np.hypot(1.0 + sharpest * corner[1], sharpest * corner[0])
     n = int(np.ceil(farthest / (0.5 * resolution)))
     poses = motions.along(np.linspace(0.0, 1.0, n + 1)).reshape(-1, n + 1, 3)
-    return [cells_under(arc, resolution, motions.car, margin) for arc in poses]
+    return [Kernel.of(cells_under(arc, resolution, motions.car, margin)) for arc in poses]

@@ -136,7 +136,7 @@ class PoseGrid:
         low, weights = sweeps.corners_of(self.motions, self.arena.resolution)
         row = self.layout.row
         offsets = (low[..., 0] * row + low[..., 1])[..., None] + np.array([0, 1, row, row + 1])
-        return np.asarray(self.problem.allowed), self.motions.heading_steps, offsets, weights > 0.0
+        return self.problem.allowed, self.motions.heading_steps, offsets, weights > 0.0
 
     def goal_poses(self, goal: np.ndarray, radius: float, heading_tolerance: float) -> np.ndarray:
         """Return the free poses at the goal, ``(nx, ny, n_headings)`` bool.
@@ -206,25 +206,18 @@ def solve_region(
         return ended(ValueStatus.UNREACHABLE, unreachable)
 
     never = 1.0 / (1.0 - config.gamma)
-    zero = np.zeros(flat_goal.shape, np.float32)
     run = lambda first, limit: sweeps.iterate(
-        grid.problem,
-        jnp.asarray(flat_goal),
-        jnp.asarray(first),
-        layout,
-        *(jnp.float32(v) for v in (config.gamma, never, config.tolerance)),
-        jnp.int32(limit),
+        grid.problem, flat_goal, first, layout, config.gamma, never, config.tolerance, limit
     )
     done = 0
     if warm is not None:
         first = np.where(reached, layout.flat(np.moveaxis(never - _values_of(warm, grid), -1, 0)), 0.0)
-        arrival, residual, count = run(first.astype(np.float32), min(config.warm_sweeps, config.max_sweeps))
-        done = int(count)
-    if warm is None or float(residual) >= config.tolerance:
-        arrival, residual, count = run(zero, config.max_sweeps)
-        done += int(count)
+        arrival, residual, done = run(first, min(config.warm_sweeps, config.max_sweeps))
+    if warm is None or residual >= config.tolerance:
+        arrival, residual, count = run(np.zeros(flat_goal.shape), config.max_sweeps)
+        done += count
 
-    values = np.float32(never) - np.moveaxis(layout.cells(np.asarray(arrival)), 0, -1)
+    values = np.float32(never) - np.moveaxis(layout.cells(arrival), 0, -1)
     cost_to_go = CostToGo(
         values=jnp.asarray(values),
         origin=jnp.asarray(grid.arena.origin, jnp.float32),
@@ -233,9 +226,8 @@ def solve_region(
         motion_length=grid.motions.length,
         counts=None if grid.counts is None else jnp.asarray(grid.counts, jnp.float32),
     )
-    small = float(residual) < config.tolerance
-    status = ValueStatus.CONVERGED if small else ValueStatus.NOT_CONVERGED
-    return ValueResult(status, cost_to_go, float(residual), done, time.perf_counter() - began, free, unreachable)
+    status = ValueStatus.CONVERGED if residual < config.tolerance else ValueStatus.NOT_CONVERGED
+    return ValueResult(status, cost_to_go, residual, done, time.perf_counter() - began, free, unreachable)
 
 
 def _vector(field: str, value: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Sweep ``W = gamma max_a share_a sum_c w_c W_c``: value iteration over (x, y, heading), in JAX (eq. P19).
+"""Sweep ``W = gamma max_a share_a sum_c w_c W_c``: value iteration over (x, y, heading) (eq. P19).
 
 ``share_a`` is 1, or ``gamma^(k - 1)`` from poses where motion ``a`` counts ``k`` times.
 
@@ -9,29 +9,31 @@ large values does not stop the sweeps.
 
 A motion moves all cells of a heading by the same displacement, so its successors are one window of the target heading's
 plane, shifted by a fraction of a cell. Planes are stored flat with empty cells around them, in which windows may wrap
-from one row into the next: one contiguous piece per motion, which vectorises.
+from one row into the next: the successors of a row are contiguous, which numba compiles to vector instructions. A row
+whose successors did not change in the last sweep keeps its values: those that the goal has not reached yet, and those
+that have converged.
 """
 
-from functools import partial
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
+from numba import njit
 
+from vssm_gym.planning.value_iteration.fused import fused
 from vssm_gym.planning.value_iteration.motions import Motions
 
 CHECK_EVERY = 4  # sweeps between two measurements of the residual
+BAND_ROWS = 8  # rows of a plane that are computed together, if any of their successors changed
 
 
 class Problem(NamedTuple):
     """Hold what the sweeps read of motions and map; planes are ``nx + 2 pad`` rows of ``ny + pad`` cells."""
 
-    windows: Int[Array, "headings motions"]  # where the successors' window starts in the flat planes
-    weights: Float[Array, "headings motions 4"]  # of the corners (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1)
-    allowed: Int[Array, "headings interior"]  # bit a: motion a from this cell is free
-    shares: Float[Array, "headings 2 interior"] | None  # of motions forwards, backwards; None: all are 1
+    ends: Int[np.ndarray, "headings motions 3"]  # the target heading, and the lower corner in cells from the start
+    weights: Float[np.ndarray, "headings motions 4"]  # of the corners (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1)
+    allowed: Int[np.ndarray, "headings interior"]  # bit a: motion a from this cell is free
+    shares: Float[np.ndarray, "headings 2 interior"] | None  # of motions forwards, backwards; None: all are 1
 
 
 class Layout(NamedTuple):
@@ -93,97 +95,138 @@ def problem_of(
     n, n_motions = blocked_motions.shape[:2]
     low, weights = corners_of(motions, resolution)
     target = (np.arange(n)[:, None] + motions.heading_steps) % n
-    plane = (layout.nx + 2 * layout.pad) * layout.row
-    windows = target * plane + (layout.pad + low[..., 0]) * layout.row + low[..., 1]
     allowed = np.zeros((n, layout.nx, layout.ny), np.int32)
     for a in range(n_motions):
         allowed |= np.left_shift((~blocked_motions[:, a]).astype(np.int32), a)
     if shares is not None:
         shares = layout.flat(shares.reshape(2 * n, layout.nx, layout.ny)).reshape(n, 2, layout.interior)
     return Problem(
-        jnp.asarray(windows, jnp.int32),
-        jnp.asarray(weights, jnp.float32),
-        jnp.asarray(layout.flat(allowed)),
-        None if shares is None else jnp.asarray(shares, jnp.float32),
+        np.concatenate([target[..., None], low], axis=-1),
+        weights.astype(np.float32),
+        layout.flat(allowed),
+        None if shares is None else shares.astype(np.float32),
     )
 
 
-@partial(jax.jit, static_argnames="layout")
 def iterate(
     problem: Problem,
-    goal: Bool[Array, "headings interior"],
-    start: Float[Array, "headings interior"],
+    goal: Bool[np.ndarray, "headings interior"],
+    start: Float[np.ndarray, "headings interior"],
     layout: Layout,
-    gamma: Float[Array, ""],
-    top: Float[Array, ""],
-    tolerance: Float[Array, ""],
-    max_sweeps: Int[Array, ""],
-) -> tuple[Float[Array, "headings interior"], Float[Array, ""], Int[Array, ""]]:
+    gamma: float,
+    top: float,
+    tolerance: float,
+    max_sweeps: int,
+) -> tuple[Float[np.ndarray, "headings interior"], float, int]:
     """Sweep from ``start`` until ``max |W - gamma max_a E[W']| < tolerance`` or ``max_sweeps``.
 
-    ``top = 1 / (1 - gamma)``, rounded once by the caller, is ``W`` at the goal.
+    ``top = 1 / (1 - gamma)`` is ``W`` at the goal.
 
     Returns:
         ``W``, the largest change of the last sweep, which bounds the Bellman residual of ``W``, and the sweeps done.
     """
-
-    def sweep(planes: Array) -> Array:
-        new = jnp.where(goal, top, gamma * _best(problem, planes, layout))
-        return jax.lax.dynamic_update_slice(planes, new, (0, layout.pad * layout.row))
-
-    def several(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        planes, _, sweeps = carry
-        before = jax.lax.fori_loop(0, CHECK_EVERY - 1, lambda _, p: sweep(p), planes)
-        after = sweep(before)
-        return after, jnp.max(jnp.abs(after - before)), sweeps + CHECK_EVERY
-
-    planes, residual, sweeps = jax.lax.while_loop(
-        lambda carry: (carry[1] >= tolerance) & (carry[2] < max_sweeps),
-        several,
-        (_padded(jnp.where(goal, top, start), layout), jnp.float32(jnp.inf), jnp.int32(0)),
+    margin = layout.pad * layout.row
+    first = np.where(goal, np.float32(top), start.astype(np.float32))
+    planes = np.pad(first, ((0, 0), (margin, margin)))
+    shape = layout.nx, layout.ny, layout.pad
+    sweeps, residual = _iterate(
+        planes, goal, *problem, shape, np.float32(gamma), np.float32(top), np.float32(tolerance), max_sweeps
     )
-    return _interior(planes, layout), residual, sweeps
+    return planes[:, margin : margin + layout.interior], float(residual), int(sweeps)
 
 
-def _best(problem: Problem, planes: Array, layout: Layout) -> Array:
-    """Return ``max_a sum_c w_c W_c`` over the motions allowed in each cell; 0 where there is none."""
-    stored = planes.reshape(-1)
-
-    def heading(of: Problem) -> Array:
-        window = _windows(stored, of.windows, layout)
-        best = jnp.zeros(layout.interior, jnp.float32)
-        for a in range(len(window)):
-            w, (c00, c01, c10, c11) = of.weights[a], _corners(window[a], layout)
-            mean = w[0] * c00 + w[1] * c01 + w[2] * c10 + w[3] * c11
-            if of.shares is not None:
-                mean = mean * of.shares[2 * a // len(window)]
-            mean = jnp.where((of.allowed & (1 << a)) != 0, mean, 0.0)
-            best = jnp.where(mean > best, mean, best)
-        return best
-
-    return jax.lax.map(heading, problem)
-
-
-def _windows(stored: Array, starts: Array, layout: Layout) -> Array:
-    """Copy one contiguous piece per motion, ``(motions, interior + row + 1)``.
-
-    A copy, not a view: sliced where they are used, XLA would read them one cell at a time on a CPU.
-    """
-    return jax.vmap(lambda s: jax.lax.dynamic_slice(stored, (s,), (layout.interior + layout.row + 1,)))(starts)
-
-
-def _corners(window: Array, layout: Layout) -> list[Array]:
-    """Return the four cells around each cell's successor, in the order of ``Problem.weights``."""
-    return [window[k : k + layout.interior] for k in (0, 1, layout.row, layout.row + 1)]
-
-
-def _padded(interior: Array, layout: Layout) -> Array:
-    """Return flat planes with empty rows before and after."""
-    margin = layout.pad * layout.row
-    return jnp.pad(interior, ((0, 0), (margin, margin)))
+@njit(cache=True, nogil=True)
+def _iterate(
+    planes: np.ndarray,
+    goal: np.ndarray,
+    ends: np.ndarray,
+    weights: np.ndarray,
+    allowed: np.ndarray,
+    shares: np.ndarray | None,
+    shape: tuple[int, int, int],
+    gamma: np.float32,
+    top: np.float32,
+    tolerance: np.float32,
+    max_sweeps: int,
+) -> tuple[int, np.float32]:
+    """Sweep ``planes`` in place; return the number of sweeps and the largest change of the last one."""
+    other = planes.copy()
+    bands = len(planes), -(-shape[0] // BAND_ROWS)
+    moved, moving = np.ones(bands, np.bool_), np.ones(bands, np.bool_)  # which changed: in the last sweep, in this one
+    residual, sweeps = np.float32(np.inf), 0
+    while residual >= tolerance and sweeps < max_sweeps:
+        for k in range(CHECK_EVERY):
+            measured = k == CHECK_EVERY - 1
+            residual = _sweep(
+                planes, other, moved, moving, goal, ends, weights, allowed, shares, shape, gamma, top, measured
+            )
+            planes, other = other, planes
+            moved, moving = moving, moved
+        sweeps += CHECK_EVERY  # an even number: the newest values are in the caller's array again
+    return sweeps, residual
 
 
-def _interior(planes: Array, layout: Layout) -> Array:
-    """Invert :func:`_padded`."""
-    margin = layout.pad * layout.row
-    return planes[:, margin : margin + layout.interior]
+@njit(cache=True, nogil=True)
+def _sweep(
+    before: np.ndarray,
+    after: np.ndarray,
+    moved: np.ndarray,
+    moving: np.ndarray,
+    goal: np.ndarray,
+    ends: np.ndarray,
+    weights: np.ndarray,
+    allowed: np.ndarray,
+    shares: np.ndarray | None,
+    shape: tuple[int, int, int],
+    gamma: np.float32,
+    top: np.float32,
+    measured: bool,
+) -> np.float32:
+    """Write ``gamma max_a share_a sum_c w_c before_c`` and which bands change; return the largest change if asked."""
+    nx, ny, pad = shape
+    row, plane, n_motions = ny + pad, before.shape[1], ends.shape[1]
+    stored = before.reshape(-1)
+    best = np.empty(BAND_ROWS * row, np.float32)
+    largest = np.float32(0.0)
+    for h in range(len(before)):
+        for band in range(moved.shape[1]):
+            x = band * BAND_ROWS
+            size = (min(x + BAND_ROWS, nx) - x) * row
+            here, cells = (pad + x) * row, x * row
+            old, new = before[h, here : here + size], after[h, here : here + size]
+            new[:] = old
+            moving[h, band] = False
+            if not _successors_moved(moved, ends[h], x):
+                continue
+            best[:] = np.float32(0.0)
+            bits = allowed[h, cells : cells + size]
+            for a in range(n_motions):
+                at, bit = ends[h, a, 0] * plane + here + ends[h, a, 1] * row + ends[h, a, 2], np.int32(1 << a)
+                w00, w01, w10, w11 = weights[h, a, 0], weights[h, a, 1], weights[h, a, 2], weights[h, a, 3]
+                c00, c01 = stored[at : at + size], stored[at + 1 : at + 1 + size]
+                c10, c11 = stored[at + row : at + row + size], stored[at + row + 1 : at + row + 1 + size]
+                for k in range(size):
+                    mean = fused(w11, c11[k], fused(w10, c10[k], fused(w01, c01[k], w00 * c00[k])))
+                    if shares is not None:
+                        mean = mean * shares[h, 2 * a // n_motions, cells + k]
+                    mean = mean if bits[k] & bit else np.float32(0.0)
+                    best[k] = mean if mean > best[k] else best[k]
+            at_goal = goal[h, cells : cells + size]
+            for k in range(size):
+                new[k] = top if at_goal[k] else gamma * best[k]
+            for k in range(size):
+                moving[h, band] |= new[k] != old[k]
+            if measured:
+                for k in range(size):
+                    largest = max(largest, abs(new[k] - old[k]))
+    return largest
+
+
+@njit(cache=True, nogil=True)
+def _successors_moved(moved: np.ndarray, ends: np.ndarray, x: int) -> bool:
+    """Return True where a band that holds successors of the rows from ``x`` on changed in the last sweep."""
+    for target, low, _ in ends:
+        for band in range((x + low) // BAND_ROWS, (x + BAND_ROWS + low) // BAND_ROWS + 1):
+            if 0 <= band < moved.shape[1] and moved[target, band]:
+                return True
+    return False
