@@ -134,11 +134,11 @@ class GrowingCritic:
         """Return True where the car has not got on so often in a row that it is to be led (:meth:`lead`)."""
         return self._failed >= LED_FROM
 
-    def motions(self, planar: Any) -> float:
+    def motions(self, planar: np.ndarray) -> float:
         """Return how many motions are left from a pose to where the actor is led; infinite without a path."""
         if self.aim is None:
             return np.inf
-        share = max(1.0 - float(self.aim.at(planar)) / self.aim.never, 1e-9)  # gamma^motions
+        share = max(1.0 - float(self.aim.at(np.asarray(planar))) / self.aim.never, 1e-9)  # gamma^motions
         return float(np.log(share) / np.log(self.aim.gamma))
 
     def clearance(self) -> ClearanceMap:
