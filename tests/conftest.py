@@ -10,7 +10,6 @@ import sys
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from zlib import crc32
 
 # Under xdist each worker gets its share of the cores instead of all of them. Kept to them, XLA starts no more threads:
 # two workers with a thread for every core each wait for one another at every small operation.
@@ -33,6 +32,8 @@ import jax
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from jaxtyping import install_import_hook
+
+from tests.helpers.parts import files_in_turn
 
 FORGET_ABOVE = 4e9  # bytes of a test process
 QUICK_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
@@ -76,8 +77,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Read only the files of the part that was asked for, which are the same ones on every machine."""
     if not (part := config.option.part) or not collection_path.name.startswith("test_") or collection_path.is_dir():
         return None
-    name = collection_path.relative_to(config.rootpath).as_posix()
-    return crc32(name.encode()) % part[1] != part[0] - 1 or None
+    turn = files_in_turn(config.rootpath).index(collection_path.relative_to(config.rootpath).as_posix())
+    return turn % part[1] != part[0] - 1 or None
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,13 +1,15 @@
 """Test the parts of the test suite: together they are all of it, and no file is in two."""
 
+import re
 import subprocess
 import sys
 
 import pytest
 
+from tests.helpers.parts import SLOW, files_in_turn
 from tests.helpers.paths import CHECKOUT
 
-SOME = ["tests/geometry", "tests/test_package.py", "tests/test_api.py"]
+SOME = ["tests/geometry", "tests/files", "tests/viz"]  # folders: a file that is named is always read
 
 
 def collected(*words: str) -> list[str]:
@@ -38,3 +40,12 @@ def test_a_part_that_is_none_is_refused(text):
     )
     assert done.returncode != 0
     assert "argument --part: expected K/N with 1 <= K <= N" in done.stderr
+
+
+def test_every_part_that_ci_may_choose_has_slow_tests():
+    """A part without any would end with an error, whatever the commit holds."""
+    chosen = re.search(r"% (\d+) \+ 1\)\)/(\d+)", (CHECKOUT / ".ci" / "run").read_text())
+    assert chosen and chosen[1] == chosen[2]
+    first = files_in_turn(CHECKOUT)[: int(chosen[1])]
+    assert len(first) == int(chosen[1])
+    assert all(SLOW in (CHECKOUT / name).read_text() for name in first)

@@ -1,10 +1,12 @@
 """Compute on a GPU with the digits of float32, and share its memory between processes.
 
-Two defaults of JAX do not suit this package. Products of float32 matrices are rounded to TF32 (ten bits of fraction) on
-an NVIDIA GPU and to bfloat16 on a TPU: a point 10 m away is then off by up to 5 mm. And the first process takes three
-quarters of a GPU's memory, so the workers of a sweep, or PyTorch beside JAX, find none. On a processor neither matters,
-and no bit of a result changes.
+Two defaults of JAX do not suit this package. Factors of float32 matrix products are rounded to TF32 (ten bits of
+fraction) on an NVIDIA GPU and to bfloat16 on a TPU: a point 10 m away is then off by up to a centimetre, or by several.
+And the first process takes three quarters of a GPU's memory, so the workers of a sweep, or PyTorch beside JAX, find
+none. On a processor neither matters, and no bit of a result changes.
 
+The price is that a program's own networks multiply with all digits too, and that memory is claimed as it is needed;
+where JAX has begun to use a GPU before the package is imported, the second default comes too late.
 JAX's own variables are the switches; one that is set keeps its value.
 """
 

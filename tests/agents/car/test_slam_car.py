@@ -43,7 +43,7 @@ def test_it_parks_without_a_map_nor_a_collision(agent, env, goal):
 
 @pytest.mark.slow
 def test_nothing_is_compiled_between_steps(agent, env):
-    """After the first episode no step of another in a grid of the same size compiles the sweeps again."""
+    """After the first episode no step of another compiles the sweeps again."""
     run_episode(env, agent, task(GOAL), seed=3, voxel_map=None)
     compiled = len(sweeps._iterate.signatures)
     run_episode(env, agent, task((2.2, 0.7, 2.5)), seed=4, voxel_map=None)

@@ -147,14 +147,14 @@ def rectangle_collisions(
     Returns:
         ``(nx, ny, n_headings)`` bool for poses with the rear axle at cell centres. Exact: contact is no overlap.
     """
-    kernels = _rectangles(car, resolution, tuple(np.asarray(headings, float).tolist()), margin)
+    kernels = _rectangles(car, float(resolution), tuple(np.asarray(headings, float).tolist()), float(margin))
     return np.stack(dilate(occupied, kernels), axis=-1)
 
 
 @lru_cache(maxsize=16)  # depends on the car and the grid, not on the map
-def _rectangles(car: Car, resolution: float, headings: tuple[float, ...], margin: float) -> "list[Kernel]":
+def _rectangles(car: Car, resolution: float, headings: tuple[float, ...], margin: float) -> "tuple[Kernel, ...]":
     """Return the cells under the car at each heading, in this order."""
-    return [Kernel.of(cells_under(np.array([[0.0, 0.0, h]]), resolution, car, margin)) for h in headings]
+    return tuple(Kernel.of(cells_under(np.array([[0.0, 0.0, h]]), resolution, car, margin)) for h in headings)
 
 
 def collides(arena: Arena, planar: np.ndarray, car: Car, margin: float = 0.0) -> bool:
@@ -245,7 +245,7 @@ def dilate(occupied: np.ndarray, kernels: Sequence[Kernel]) -> list[np.ndarray]:
     reach = max(kernel.reach for kernel in kernels)
     padded = np.pad(np.asarray(occupied, dtype=bool), reach, constant_values=True)
     meets = [np.zeros_like(padded)]  # by length of the run
-    for length in range(1, 1 + max(run[2] for kernel in kernels for run in kernel.runs)):
+    for length in range(1, 1 + max((run[2] for kernel in kernels for run in kernel.runs), default=0)):
         longer = meets[-1].copy()
         longer[:, : padded.shape[1] - length + 1] |= padded[:, length - 1 :]
         meets.append(longer)

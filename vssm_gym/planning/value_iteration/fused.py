@@ -1,7 +1,9 @@
 """Round ``a b + c`` once, in loops that numba compiles: the processor's fused multiply-add, on every processor alike.
 
 Left to itself a compiler fuses or not, as its processor and its version have it, and the last digit of a sum of
-products follows from that.
+products follows from that. A processor without the instruction computes the same number in many.
+
+numba's cache on disk sees changes of the file whose loops use this, not of this one.
 """
 
 from typing import Any

@@ -90,16 +90,16 @@ class Motions:
         Returns:
             Bool ``(n_headings, n_motions, nx, ny)``.
         """
-        blocked = dilate(occupied, _swept_cells(self, resolution, margin))
+        blocked = dilate(occupied, _swept_cells(self, float(resolution), float(margin)))
         return np.stack(blocked).reshape(self.n_headings, len(self.heading_steps), *np.shape(occupied))
 
 
 @lru_cache(maxsize=4)  # depends on the car and the grid, not on the map
-def _swept_cells(motions: Motions, resolution: float, margin: float) -> list[Kernel]:
+def _swept_cells(motions: Motions, resolution: float, margin: float) -> tuple[Kernel, ...]:
     """Return the cells under the arc of each heading and motion, in this order."""
     corner = np.abs(motions.car.corners(np.zeros(3))).max(axis=0) + margin
     sharpest = 1.0 / motions.car.turning_radius
     farthest = motions.length * np.hypot(1.0 + sharpest * corner[1], sharpest * corner[0])
     n = int(np.ceil(farthest / (0.5 * resolution)))
     poses = motions.along(np.linspace(0.0, 1.0, n + 1)).reshape(-1, n + 1, 3)
-    return [Kernel.of(cells_under(arc, resolution, motions.car, margin)) for arc in poses]
+    return tuple(Kernel.of(cells_under(arc, resolution, motions.car, margin)) for arc in poses)

@@ -41,7 +41,7 @@ class ValueConfig:
     turns: tuple[int, ...] = (-3, -1, 0, 1, 3)  # steps of the heading grid a motion turns; the largest is full lock
     gamma: float = 0.99  # discount of one motion
     tolerance: float = 1e-3  # Bellman residual, in motions
-    max_sweeps: int = 2000
+    max_sweeps: int = 2000  # rounded up to a multiple of 4
     warm_sweeps: int = 64  # a warm start that takes longer is given up, because starting from scratch is then faster
     margin: float = 0.0  # m by which the footprint grows on all sides
 
@@ -214,7 +214,7 @@ def solve_region(
         first = np.where(reached, layout.flat(np.moveaxis(never - _values_of(warm, grid), -1, 0)), 0.0)
         arrival, residual, done = run(first, min(config.warm_sweeps, config.max_sweeps))
     if warm is None or residual >= config.tolerance:
-        arrival, residual, count = run(np.zeros(flat_goal.shape), config.max_sweeps)
+        arrival, residual, count = run(np.zeros(flat_goal.shape, np.float32), config.max_sweeps)
         done += count
 
     values = np.float32(never) - np.moveaxis(layout.cells(arrival), 0, -1)

@@ -37,7 +37,7 @@ class Problem(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Place cell ``[ix, iy]`` of a heading in its flat plane; static."""
+    """Place cell ``[ix, iy]`` of a heading in its flat plane."""
 
     nx: int
     ny: int
@@ -64,7 +64,8 @@ class Layout(NamedTuple):
 
 def layout_of(motions: Motions, shape: tuple[int, ...], resolution: float) -> Layout:
     """Return the layout with padding for the longest motion and the corner behind it."""
-    return Layout(shape[0], shape[1], int(np.floor(motions.length / resolution)) + 2)
+    longest = np.floor(motions.length / resolution + 1e-9)  # rounded as corners_of rounds
+    return Layout(shape[0], shape[1], int(longest) + 2)
 
 
 def corners_of(motions: Motions, resolution: float) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +119,7 @@ def iterate(
     tolerance: float,
     max_sweeps: int,
 ) -> tuple[Float[np.ndarray, "headings interior"], float, int]:
-    """Sweep from ``start`` until ``max |W - gamma max_a E[W']| < tolerance`` or ``max_sweeps``.
+    """Sweep from ``start`` until ``max |W - gamma max_a E[W']| < tolerance`` or ``max_sweeps``, rounded up to fours.
 
     ``top = 1 / (1 - gamma)`` is ``W`` at the goal.
 
@@ -128,9 +129,8 @@ def iterate(
     margin = layout.pad * layout.row
     first = np.where(goal, np.float32(top), start.astype(np.float32))
     planes = np.pad(first, ((0, 0), (margin, margin)))
-    shape = layout.nx, layout.ny, layout.pad
     sweeps, residual = _iterate(
-        planes, goal, *problem, shape, np.float32(gamma), np.float32(top), np.float32(tolerance), max_sweeps
+        planes, goal, *problem, (*layout,), np.float32(gamma), np.float32(top), np.float32(tolerance), max_sweeps
     )
     return planes[:, margin : margin + layout.interior], float(residual), int(sweeps)
 
@@ -143,22 +143,25 @@ def _iterate(
     weights: np.ndarray,
     allowed: np.ndarray,
     shares: np.ndarray | None,
-    shape: tuple[int, int, int],
+    layout: tuple[int, int, int],
     gamma: np.float32,
     top: np.float32,
     tolerance: np.float32,
     max_sweeps: int,
 ) -> tuple[int, np.float32]:
-    """Sweep ``planes`` in place; return the number of sweeps and the largest change of the last one."""
+    """Sweep ``planes`` ``(headings, rows x cells)`` float32 in place; return the sweeps done and the largest change.
+
+    The other arguments are the fields of :class:`Problem` and :class:`Layout`, and those of :func:`iterate`.
+    """
     other = planes.copy()
-    bands = len(planes), -(-shape[0] // BAND_ROWS)
+    bands = len(planes), -(-layout[0] // BAND_ROWS)
     moved, moving = np.ones(bands, np.bool_), np.ones(bands, np.bool_)  # which changed: in the last sweep, in this one
     residual, sweeps = np.float32(np.inf), 0
     while residual >= tolerance and sweeps < max_sweeps:
         for k in range(CHECK_EVERY):
             measured = k == CHECK_EVERY - 1
             residual = _sweep(
-                planes, other, moved, moving, goal, ends, weights, allowed, shares, shape, gamma, top, measured
+                planes, other, moved, moving, goal, ends, weights, allowed, shares, layout, gamma, top, measured
             )
             planes, other = other, planes
             moved, moving = moving, moved
@@ -177,13 +180,16 @@ def _sweep(
     weights: np.ndarray,
     allowed: np.ndarray,
     shares: np.ndarray | None,
-    shape: tuple[int, int, int],
+    layout: tuple[int, int, int],
     gamma: np.float32,
     top: np.float32,
     measured: bool,
 ) -> np.float32:
-    """Write ``gamma max_a share_a sum_c w_c before_c`` and which bands change; return the largest change if asked."""
-    nx, ny, pad = shape
+    """Write ``after = gamma max_a share_a sum_c w_c before_c``; return the largest change, if it is ``measured``.
+
+    ``moved`` and ``moving`` are ``(headings, bands)`` bool: which bands changed in the last sweep, and in this one.
+    """
+    nx, ny, pad = layout
     row, plane, n_motions = ny + pad, before.shape[1], ends.shape[1]
     stored = before.reshape(-1)
     best = np.empty(BAND_ROWS * row, np.float32)
