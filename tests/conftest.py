@@ -4,6 +4,7 @@ This file runs before any test module, so what it sets in the environment is see
 The order matters: libraries read the thread counts when they load, and only what is imported after the hook is checked.
 """
 
+import gc
 import os
 import re
 import sys
@@ -37,6 +38,10 @@ from tests.helpers.parts import files_in_turn
 
 FORGET_ABOVE = 4e9  # bytes of a test process
 QUICK_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
+
+# Functions that JAX traces are made of many small objects, few of which are in cycles. Looking for those after every
+# 700 objects, the default, takes a tenth of the time of tests that compile (212 instead of 187 s of three files).
+gc.set_threshold(50_000, 20, 20)
 
 # Annotated shapes and dtypes of these modules are checked at every call. Simulation and planning are left
 # out: their inner loops are compiled by numba, which cannot compile a checked function.
