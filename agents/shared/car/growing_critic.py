@@ -22,7 +22,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation
 
@@ -139,7 +138,7 @@ class GrowingCritic:
         """Return how many motions are left from a pose to where the actor is led; infinite without a path."""
         if self.aim is None:
             return np.inf
-        share = max(1.0 - float(self.aim.at(jnp.asarray(planar))) / self.aim.never, 1e-9)  # gamma^motions
+        share = max(1.0 - float(self.aim.at(np.asarray(planar, np.float32))) / self.aim.never, 1e-9)  # gamma^motions
         return float(np.log(share) / np.log(self.aim.gamma))
 
     def clearance(self) -> ClearanceMap:

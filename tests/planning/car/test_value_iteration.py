@@ -2,10 +2,7 @@
 
 import itertools
 
-import equinox as eqx
 import hypothesis.strategies as st
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse
@@ -13,11 +10,11 @@ import scipy.sparse.linalg
 import shapely
 from hypothesis import given, settings
 
+from tests.helpers.cost_to_go import linear_cost
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena, heading_grid, rectangle_collisions
 from vssm_gym.planning.value_iteration import (
-    CostToGo,
     Motions,
     PoseGrid,
     ValueConfig,
@@ -351,58 +348,6 @@ def test_a_post_between_start_and_end_of_an_arc_stops_it():
     first, last = crossing[0], crossing[-1]
     assert crossing == list(range(first, last + 1))
     assert last - first + 1 == pytest.approx((motions.length + SMALL.length) / 0.02, abs=1.5)
-
-
-at_in_jax = jax.jit(CostToGo.at)
-slope_in_jax = jax.jit(jax.grad(CostToGo.at, argnums=1))
-
-
-def linear_cost() -> CostToGo:
-    i, j, k = np.meshgrid(np.arange(6), np.arange(5), np.arange(8), indexing="ij")
-    return CostToGo(
-        values=jnp.asarray(1.0 * i + 2.0 * j + 3.0 * np.abs(k - 4), jnp.float32),
-        origin=jnp.array([1.0, -1.0]),
-        resolution=jnp.float32(0.5),
-        gamma=0.99,
-        motion_length=0.1,
-    )
-
-
-@given(st.floats(0.0, 5.0), st.floats(0.0, 4.0), st.floats(-20.0, 20.0))
-def test_query_is_trilinear_and_periodic(x, y, heading):
-    cost = linear_cost()
-    planar = np.array([1.0 + 0.5 * x, -1.0 + 0.5 * y, heading])
-    k = (heading * 8 / (2.0 * np.pi)) % 8.0
-    expected = x + 2.0 * y + 3.0 * abs(k - 4.0)
-    inside = cost._corners(planar)[1]
-    if inside:  # float32 may put the very border outside
-        assert cost.at(planar) == pytest.approx(expected, abs=2e-4)
-        assert at_in_jax(cost, planar) == pytest.approx(expected, abs=2e-4)
-    assert cost.at(planar).dtype == np.float32
-
-
-def test_query_leaves_out_poses_in_collision():
-    """Next to a pose in collision the value is that of the others; among such poses only there is none."""
-    cost = linear_cost()
-    pinned = eqx.tree_at(lambda c: c.values, cost, cost.values.at[3:, :, :].set(NEVER))
-    planar = np.array([1.0 + 0.5 * 2.75, -1.0 + 0.5 * 1.0, np.pi])  # a quarter of it still open
-    assert pinned.at(planar) == pytest.approx(2.0 + 2.0)
-    assert pinned.reachable(planar)
-    planar[0] += 0.5
-    assert pinned.at(planar) == np.float32(NEVER)
-    assert not pinned.reachable(planar)
-    slope = slope_in_jax(pinned, planar)
-    assert np.isfinite(slope).all()
-
-
-def test_query_beyond_the_grid_and_gradient():
-    cost = linear_cost()
-    outside = np.array([[0.9, 0.0, 0.0], [4.0, 0.0, 0.0], [2.0, -1.1, 0.0], [2.0, 1.1, 0.0]])
-    assert np.all(cost.at(outside) == np.float32(NEVER))
-    assert not np.asarray(cost.reachable(outside)).any()
-    assert np.all(jax.jit(CostToGo.reachable)(cost, outside) == cost.reachable(outside))
-    slope = slope_in_jax(cost, jnp.array([2.1, 0.3, 1.0]))
-    assert np.allclose(slope, [2.0, 4.0, -3.0 * 8 / (2.0 * np.pi)], rtol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,8 @@ class CostToGo(eqx.Module):
     def at(self, planar: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Return ``V`` at poses ``(..., 3)``, m and rad; JAX for JAX arrays, else NumPy; differentiable within cells.
 
+        The weights have the precision of the poses; those of float32 give JAX's value to the last bit.
+
         Poses of the grid that collide or have no path to the goal are left out of the mean, and the weights of the
         others grow to 1, so that a wall does not raise the cost of a free pose beside it. The obstacle of a heading is
         wider than the car, so the poses between which another lies are all on one side of it. Where none of the eight
@@ -69,6 +71,7 @@ class CostToGo(eqx.Module):
     def _corners(self, planar: Array) -> tuple[list[tuple[tuple[Array, Array, Array], Array]], Array]:
         """Return the indices and weights of the eight poses around each pose, and which poses lie within the grid."""
         xp = _library(planar)
+        precision = np.float32 if xp is jnp else np.promote_types(np.asarray(planar).dtype, np.float32)
         planar = xp.asarray(planar, dtype=np.float32)
         origin, resolution = xp.asarray(self.origin), xp.asarray(self.resolution)
         nx, ny, n = self.values.shape
@@ -78,7 +81,7 @@ class CostToGo(eqx.Module):
         i = xp.clip(xp.floor(x), 0, nx - 2).astype(np.int32)
         j = xp.clip(xp.floor(y), 0, ny - 2).astype(np.int32)
         k = xp.floor(h).astype(np.int32)
-        a, b, c = x - i, y - j, h - k
+        a, b, c = (part - index.astype(precision) for part, index in ((x, i), (y, j), (h, k)))
         along_x, along_y = ((i, 1.0 - a), (i + 1, a)), ((j, 1.0 - b), (j + 1, b))
         around = ((k % n, 1.0 - c), ((k + 1) % n, c))
         corners = [((u, v, w), wu * wv * ww) for u, wu in along_x for v, wv in along_y for w, ww in around]
