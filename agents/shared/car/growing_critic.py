@@ -138,7 +138,8 @@ class GrowingCritic:
         """Return how many motions are left from a pose to where the actor is led; infinite without a path."""
         if self.aim is None:
             return np.inf
-        share = max(1.0 - float(self.aim.at(np.asarray(planar, np.float32))) / self.aim.never, 1e-9)  # gamma^motions
+        here: Any = np.asarray(planar, np.float32)
+        share = max(1.0 - float(self.aim.at(here)) / self.aim.never, 1e-9)  # gamma^motions
         return float(np.log(share) / np.log(self.aim.gamma))
 
     def clearance(self) -> ClearanceMap:
