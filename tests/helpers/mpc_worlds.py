@@ -1,4 +1,4 @@
-"""Make simple plans and costs-to-go for the tests of the car's controllers, and an oracle."""
+"""Make simple plans and costs-to-go for the tests of the car's planning, and an oracle."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +20,18 @@ def value_of(cost) -> CostToGo:
     x, y, heading = np.meshgrid(axis, axis, 2 * np.pi * np.arange(HEADINGS) / HEADINGS, indexing="ij")
     f32 = lambda a: jnp.asarray(a, jnp.float32)
     return CostToGo(f32(cost(x, y, heading)), f32([LOW, LOW]), f32(VALUE_CELL), 0.99, MOTION)
+
+
+def linear_cost() -> CostToGo:
+    """Return a cost-to-go that is linear in the pose, up to heading ``pi`` and from there back."""
+    i, j, k = np.meshgrid(np.arange(6), np.arange(5), np.arange(8), indexing="ij")
+    return CostToGo(
+        values=jnp.asarray(1.0 * i + 2.0 * j + 3.0 * np.abs(k - 4), jnp.float32),
+        origin=jnp.array([1.0, -1.0]),
+        resolution=jnp.float32(0.5),
+        gamma=0.99,
+        motion_length=0.1,
+    )
 
 
 def clearance_of(distance) -> ClearanceMap:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.helpers.cost_to_go import linear_cost
+from tests.helpers.mpc_worlds import linear_cost
 from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
 
 NEVER = linear_cost().never

@@ -10,7 +10,7 @@ import scipy.sparse.linalg
 import shapely
 from hypothesis import given, settings
 
-from tests.helpers.cost_to_go import linear_cost
+from tests.helpers.mpc_worlds import linear_cost
 from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena, heading_grid, rectangle_collisions
