@@ -11,7 +11,7 @@ import json
 import multiprocessing
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,8 @@ from vssm_gym.maps.map_file import map_hash
 from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
 from vssm_gym.version import package_version
+
+SHARED = 8  # scenes whose episodes share workers: what agents compile for the shapes of a scene stays in memory
 
 
 def run_sweep(
@@ -113,12 +115,16 @@ def run_sweep(
         ):
             done = {episode_key(row) for row in log.rows}
             todo = [e for e in episodes if episode_key(e.identity(hashes[e.condition.scene])) not in done]
-            for scene in dict.fromkeys(episode.condition.scene for episode in todo):
-                batch = [episode for episode in todo if episode.condition.scene == scene]
-                if map_file is not None:
-                    copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
-                jobs = jobs_of(batch, scene, apartments[scene], out, config, manifest, on_progress)
-                jobs = [replace(job, agent_seconds=agent_seconds) for job in jobs]
+
+            def jobs_of_scenes() -> Iterator[list[worker.Job]]:
+                for scene in dict.fromkeys(episode.condition.scene for episode in todo):
+                    batch = [episode for episode in todo if episode.condition.scene == scene]
+                    if map_file is not None:
+                        copy_map(map_file, out / "maps" / f"{scene_name(scene)}.npz")
+                    jobs = jobs_of(batch, scene, apartments[scene], out, config, manifest, on_progress)
+                    yield [replace(job, agent_seconds=agent_seconds) for job in jobs]
+
+            for jobs in _batches(jobs_of_scenes()):
                 worker.release_memory()
                 _run(jobs, log, pool_of, len(episodes), on_progress)
     return out / FILE
@@ -261,8 +267,27 @@ def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | N
     return out / "explored" / f"{'-'.join(world)}.npz"
 
 
+def _batches(scenes: Iterable[list[worker.Job]]) -> Iterator[list[worker.Job]]:
+    """Yield the jobs that workers are started for: those of each scene with a map, and of SHARED others together.
+
+    What workers compile is freed with them. With a map it is of the map's shape, and of no use in another scene; agents
+    that need none compile nearly the same in all scenes.
+    """
+    together: list[list[worker.Job]] = []
+    for jobs in scenes:
+        if any(job.map_file for job in jobs):
+            yield jobs
+            continue
+        together.append(jobs)
+        if len(together) == SHARED:
+            yield list(itertools.chain(*together))
+            together.clear()
+    if together:
+        yield list(itertools.chain(*together))
+
+
 def _run(jobs: list[worker.Job], log: EpisodeLog, pool_of: PoolOf, total: int, on_progress: OnProgress | None) -> None:
-    """Run all jobs of a scene over workers of its own, whose memory is freed at the end; log results as they come.
+    """Run all jobs over workers of their own, whose memory is freed at the end; log results as they come.
 
     One episode of each agent that uses the map runs first on each machine, one after the other: it fills the
     compilation cache for the others. Two workers that compile at once would take twice the time and memory.

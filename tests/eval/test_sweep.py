@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -23,7 +24,7 @@ from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import expand, load_config
 from vssm_gym.eval.sweep.pools import LocalPool
-from vssm_gym.eval.sweep.runner import MANIFEST, _run, config_hash, run_sweep
+from vssm_gym.eval.sweep.runner import MANIFEST, SHARED, _batches, _run, config_hash, run_sweep
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.version import package_version
@@ -80,6 +81,22 @@ def test_a_sweep_cut_in_the_middle_of_a_line_resumes_to_the_same_rows(folder, fi
     log = run_sweep(load_config(folder / "sweep.yaml"), tmp_path, resume=True, workers=2)
     assert log.read_bytes().startswith(b"".join(lines[:4]))
     assert untimed(read_rows(log)) == untimed(read_rows(finished[0]))
+
+
+def test_only_scenes_without_a_map_share_workers():
+    """Every job is handed out once, in order; a scene with a map has workers of its own, before the next is learned."""
+    scenes = [[SimpleNamespace(scene=k, map_file=None)] * 2 for k in range(SHARED + 3)]
+    assert [len(jobs) for jobs in _batches(scenes)] == [2 * SHARED, 6]
+    assert [job.scene for jobs in _batches(scenes) for job in jobs] == [k for k in range(SHARED + 3) for _ in range(2)]
+    learned = []
+
+    def learning():
+        for k in range(3):
+            learned.append(k)
+            yield [SimpleNamespace(scene=k, map_file=None), SimpleNamespace(scene=k, map_file=Path("map.npz"))]
+
+    for k, jobs in enumerate(_batches(learning())):
+        assert [job.scene for job in jobs] == [k, k] and learned == list(range(k + 1))
 
 
 def test_a_finished_sweep_resumes_to_itself(folder, finished):
