@@ -59,7 +59,7 @@ class Oracle:
         cells = [clearance.origin[a] + clearance.resolution * np.arange(clearance.clearance.shape[a]) for a in (0, 1)]
         self.distance = RegularGridInterpolator(cells, walled(clearance))
         self.discount, self.step_cost = value_units(value, problem.car)
-        counts = [] if value.counts is None else np.asarray(value.counts)
+        counts = [] if value.counts is None else [np.where(value.counts.poses, k, 1.0) for k in value.counts.number]
         self.counts = [RegularGridInterpolator((*places, around[:-1]), k, "nearest", False, None) for k in counts]
 
     def __call__(self, state, last, controls):

@@ -20,6 +20,7 @@ Where the actor does not find a way to drive its route, again and again, the car
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 from vssm_gym.planning.value_iteration import (
     CostToGo,
+    Counts,
     PoseGrid,
     ValueConfig,
     ValueResult,
@@ -272,13 +274,13 @@ class GrowingCritic:
         """Compute the cost-to-go with the widest margin that has a path, and what has to be looked at first."""
         cells, _ = self._plan
         nothing: np.ndarray = np.zeros(cells.shape, bool)
-        counts = self._counts()
+        grid_of = self._grids()
 
         def to_goal(grid: PoseGrid, share: float, start: np.ndarray | None) -> ValueResult:
             region = share * GOAL_RADIUS, share * GOAL_HEADING_TOLERANCE
             return solve(grid, self._goal, *region, start=start, warm=self.value)
 
-        result = self._best(counts, planar, to_goal)
+        result = self._best(grid_of, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
         self.aim, self._followed = None, self.value
         self._used, self._patch, self._near = cells, NONE, nothing
@@ -294,7 +296,7 @@ class GrowingCritic:
         patch = hoped.blind(route)
         if len(patch):
             shows = hoped.viewpoints(patch, ValueConfig().n_headings)
-            look = self._best(counts, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start))
+            look = self._best(grid_of, planar, lambda grid, _, start: solve_region(grid, shows & ~grid.blocked, start))
             if look.cost_to_go is not None:
                 around, prices = descend(look.cost_to_go, planar, self._car), self._config.unknown
                 # To look is worth less than it risks where the way there is itself unseen, such as what lies behind.
@@ -335,24 +337,30 @@ class GrowingCritic:
         field = np.where(also, np.maximum(field, 0.5 * self._resolution), field)
         return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
 
-    def _counts(self) -> np.ndarray:
-        """Return how many motions one forwards, and one backwards, from each pose counts, ``(2, nx, ny, headings)``."""
+    def _grids(self) -> Callable[[float], PoseGrid]:
+        """Return the newest plan's poses and motions for a margin (m), which are worked out once for each."""
+        occupied = self._plan[0] == OCCUPIED
+        arena = Arena(occupied, self._distance(np.zeros_like(occupied)), self._corner, self._resolution)
+        counts = self._counts()
+        config = lambda margin: ValueConfig(margin=margin, tolerance=TOLERANCE)
+        return cache(lambda margin: PoseGrid.of(arena, self._car, config(margin), counts))
+
+    def _counts(self) -> Counts:
+        """Return how many motions one counts: from poses over unseen cells it is dearer, the less it has failed."""
         headings = heading_grid(ValueConfig().n_headings)
         over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, SEEN_MARGIN)
         priced = [1.0 + 0.5**self._failed * (count - 1.0) for count in self._config.unknown]
-        return np.stack([np.where(over, count, 1.0) for count in priced]).astype(np.float32)
+        return Counts(over, np.array(priced, np.float32))
 
     def _best(
         self,
-        counts: np.ndarray,
+        grid_of: Callable[[float], PoseGrid],
         planar: np.ndarray,
         solved: Callable[[PoseGrid, float, np.ndarray | None], ValueResult],
     ) -> ValueResult:
         """Return the result with the widest margin that has a path."""
-        occupied = self._plan[0] == OCCUPIED
-        arena = Arena(occupied, self._distance(np.zeros_like(occupied)), self._corner, self._resolution)
         for margin, share in ATTEMPTS:
-            grid = PoseGrid.of(arena, self._car, ValueConfig(margin=margin, tolerance=TOLERANCE), counts)
+            grid = grid_of(margin)
             result = solved(grid, share, planar)
             if result.status is ValueStatus.START_BLOCKED:  # by the map, whose surfaces have errors
                 result = solved(grid, share, None)

@@ -19,6 +19,7 @@ from vssm_gym.planning.mpc.fields import make_fields
 from vssm_gym.planning.mpc.lagrangian import lagrangian
 from vssm_gym.planning.mpc.problem import MpcConfig, MpcProblem
 from vssm_gym.planning.mpc.windows import ClearanceTable, ValueTable
+from vssm_gym.planning.value_iteration import Counts
 
 PROBLEM = MpcProblem(config=MpcConfig(horizon=8, comfort=0.3))
 CONFIG = ipopt.IpoptConfig()
@@ -73,13 +74,13 @@ def test_steps_over_unknown_cells_count_as_motions_do(seed: int) -> None:
     """A strip of poses counts 2 motions forwards and 7 backwards."""
     value, clearance = bumpy()
     over = np.broadcast_to((np.arange(value.values.shape[0]) % 2 == 0)[:, None, None], value.values.shape)
-    value = dataclasses.replace(value, counts=jnp.asarray([1.0 + 1.0 * over, 1.0 + 6.0 * over], jnp.float32))
+    value = dataclasses.replace(value, counts=Counts(over, np.array([2.0, 7.0], np.float32)))
     controls = drawn(seed)
     fields = make_fields(value, clearance, PROBLEM.car)
     plans = objective.evaluate(PROBLEM, fields, *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)))
     cost, _, _ = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
     np.testing.assert_allclose(plans.cost, cost, rtol=1e-5)
-    free = dataclasses.replace(value, counts=jnp.ones_like(value.counts))
+    free = dataclasses.replace(value, counts=Counts(over, np.ones(2, np.float32)))
     known = dataclasses.replace(value, counts=None)
     same = [
         objective.evaluate(

@@ -6,7 +6,7 @@ from numba import njit
 
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena
-from vssm_gym.planning.value_iteration import PoseGrid, ValueConfig, sweeps
+from vssm_gym.planning.value_iteration import Counts, PoseGrid, ValueConfig, sweeps
 from vssm_gym.planning.value_iteration.fused import fused
 
 SMALL = Car(wheelbase=0.05, track=0.04, length=0.09, width=0.05, rear_overhang=0.02, camera_forward=0.05)
@@ -20,8 +20,9 @@ def grid_of(seed: int, shape: tuple[int, int], resolution: float, priced: bool) 
     random = np.random.default_rng(seed)
     occupied = random.random(shape) < (0.05 if resolution > 0.01 else 0.0)
     occupied[[0, -1], :] = occupied[:, [0, -1]] = True
-    counts = np.ones((2, *shape, COARSE.n_headings))
-    counts[:, shape[0] // 2 :] = np.array([3.0, 20.0])[:, None, None, None]
+    poses = np.zeros((*shape, COARSE.n_headings), bool)
+    poses[shape[0] // 2 :] = True
+    counts = Counts(poses, np.array([3.0, 20.0], np.float32))
     arena = Arena.from_occupied(occupied, np.zeros(2), resolution)
     return PoseGrid.of(arena, SMALL, COARSE, counts if priced else None)
 
@@ -47,8 +48,9 @@ def by_hand(grid: PoseGrid, goal: np.ndarray, start: np.ndarray, n_sweeps: int) 
                 mean = problem.weights[h, a, 0] * around[0]
                 for weight, corner in zip(problem.weights[h, a, 1:], around[1:], strict=True):
                     mean = plus(weight, corner, mean)
-                if problem.shares is not None:
-                    mean = mean * layout.cells(problem.shares[h])[2 * a // len(problem.ends[h])]
+                if problem.priced is not None:
+                    share = problem.shares[2 * a // len(problem.ends[h])]
+                    mean = mean * np.where(layout.cells(problem.priced)[h], share, np.float32(1.0))
                 new[h] = np.maximum(new[h], np.where(allowed[h] >> a & 1, mean, np.float32(0.0)))
         wide[inside] = np.where(at_goal, TOP, GAMMA * new)
     return wide[inside]

@@ -15,6 +15,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.geometry.car import Car
 from vssm_gym.planning.car.footprint import Arena, heading_grid, rectangle_collisions
 from vssm_gym.planning.value_iteration import (
+    Counts,
     Motions,
     PoseGrid,
     ValueConfig,
@@ -53,9 +54,7 @@ def values(result) -> np.ndarray:
     return np.asarray(result.cost_to_go.values, np.float64)
 
 
-def exact(
-    arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray, counts: np.ndarray | None = None
-) -> np.ndarray:
+def exact(arena: Arena, car: Car, config: ValueConfig, at_goal: np.ndarray, counts: Counts | None = None) -> np.ndarray:
     """Solve the same aggregation, built state by state in float64, by policy iteration.
 
     Motions forwards and backwards count as often as ``counts`` says, if it is given.
@@ -110,7 +109,9 @@ def exact(
     goal = at_goal.reshape(-1)
     absorbing = blocked | goal
     fixed = np.append(np.where(goal, 0.0, 1.0 / (1.0 - config.gamma)), 1.0 / (1.0 - config.gamma))
-    each = np.ones((2, len(states))) if counts is None else counts.reshape(2, -1)
+    each = np.ones((2, len(states)))
+    if counts is not None:
+        each = np.where(counts.poses.reshape(-1), counts.number[:, None], 1.0)
     gammas = [config.gamma ** each[a // len(config.turns)] for a in range(len(motions))]  # by state: gamma^k
     costs = [(1.0 - g) / (1.0 - config.gamma) for g in gammas]
     policy = np.full(len(states), -1)  # -1: stand for ever
@@ -285,8 +286,8 @@ def test_motions_that_count_several_times_cost_so_and_close_nothing():
     occupied, unknown = room((6, 7, 0, 7)), np.zeros(SHAPE, bool)
     unknown[5:8, 7:11] = True  # the passage
     over = rectangle_collisions(unknown, RESOLUTION, SMALL, heading_grid(16))
-    counts = np.stack([1.0 + 1.0 * over, 1.0 + 2.0 * over])
-    grids = [PoseGrid.of(arena_of(occupied), SMALL, COARSE, k) for k in (np.ones_like(counts), counts)]
+    counts = [Counts(over, np.array(number, np.float32)) for number in ((1.0, 1.0), (2.0, 3.0))]
+    grids = [PoseGrid.of(arena_of(occupied), SMALL, COARSE, each) for each in counts]
     plain = PoseGrid.of(arena_of(occupied), SMALL, COARSE)
     goal = place(plain.arena, 3, 3)
     known, as_known, dear = (values(solve(grid, goal, radius=0.06)) for grid in (plain, *grids))
@@ -295,7 +296,7 @@ def test_motions_that_count_several_times_cost_so_and_close_nothing():
     assert (dear >= known - 2e-3).all()
     behind = (np.arange(SHAPE[0]) > 8)[:, None, None] & (known < NEVER)
     assert behind.any() and (dear[behind] > known[behind] + 1.0).all()
-    expected = exact(plain.arena, SMALL, COARSE, plain.goal_poses(goal, 0.06, 0.0), counts)
+    expected = exact(plain.arena, SMALL, COARSE, plain.goal_poses(goal, 0.06, 0.0), counts[1])
     assert np.abs(dear - expected).max() < 0.02
 
 

@@ -148,7 +148,7 @@ def rectangle_collisions(
         ``(nx, ny, n_headings)`` bool for poses with the rear axle at cell centres. Exact: contact is no overlap.
     """
     kernels = _rectangles(car, float(resolution), tuple(np.asarray(headings, float).tolist()), float(margin))
-    return np.stack(dilate(occupied, kernels), axis=-1)
+    return np.ascontiguousarray(np.moveaxis(dilate(occupied, kernels), 0, -1))
 
 
 @lru_cache(maxsize=16)  # depends on the car and the grid, not on the map
@@ -231,7 +231,7 @@ class Kernel(NamedTuple):
         return cls(len(cells) // 2, tuple(zip(row.tolist(), start.tolist(), (end - start).tolist(), strict=True)))
 
 
-def dilate(occupied: np.ndarray, kernels: Sequence[Kernel]) -> list[np.ndarray]:
+def dilate(occupied: np.ndarray, kernels: Sequence[Kernel]) -> np.ndarray:
     """Dilate by each kernel ``K``: ``any_(i, j) in K occupied[x + i, y + j]``.
 
     A row of a kernel is a few runs of cells. Whether a run of length ``l`` that starts at a cell meets anything is
@@ -240,6 +240,9 @@ def dilate(occupied: np.ndarray, kernels: Sequence[Kernel]) -> list[np.ndarray]:
     Args:
         occupied: ``(nx, ny)`` bool; beyond the grid everything is occupied.
         kernels: the sets ``K``.
+
+    Returns:
+        Bool ``(kernels, nx, ny)``.
     """
     nx, ny = occupied.shape
     reach = max(kernel.reach for kernel in kernels)
@@ -250,12 +253,10 @@ def dilate(occupied: np.ndarray, kernels: Sequence[Kernel]) -> list[np.ndarray]:
         longer[:, : padded.shape[1] - length + 1] |= padded[:, length - 1 :]
         meets.append(longer)
 
-    blocked = []
-    for kernel in kernels:
-        out = np.zeros((nx, ny), dtype=bool)
+    blocked = np.zeros((len(kernels), nx, ny), dtype=bool)
+    for kernel, out in zip(kernels, blocked, strict=True):
         shift = reach - kernel.reach
         for row, start, length in kernel.runs:
             x, y = row + shift, start + shift
             np.logical_or(out, meets[length][x : x + nx, y : y + ny], out=out)
-        blocked.append(out)
     return blocked

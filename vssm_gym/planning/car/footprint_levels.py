@@ -66,7 +66,7 @@ class FootprintLevels:
         bulge = car.length * (1.0 - np.cos(half[2]))
         poses = [corners + np.array([0.0, 0.0, heading]) for heading in grid]
         wide = [Kernel.of(cells_under(p, resolution, car, margin + bulge)) for p in poses]
-        touching = np.stack(dilate(occupied, wide), axis=-1)
+        touching = np.moveaxis(dilate(occupied, wide), 0, -1)
         tight = rectangle_collisions(occupied, resolution, car, grid, comfort)
         levels = np.where(touching, COLLIDING, np.where(tight, TIGHT, CLEAR)).astype(np.uint8)
         return cls(np.ascontiguousarray(levels), np.asarray(origin, dtype=np.float64), float(resolution))

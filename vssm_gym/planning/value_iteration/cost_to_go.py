@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from vssm_gym.planning.value_iteration.counts import Counts
+
 LEAST_WEIGHT = 1e-3  # sum of the weights with a path to the goal; what is less is rounding
 
 
@@ -23,8 +25,7 @@ class CostToGo(eqx.Module):
     resolution: Float[Array, ""]  # m
     gamma: float = eqx.field(static=True)  # discount of one motion
     motion_length: float = eqx.field(static=True)  # m that one motion of cost 1 drives
-    # k: how many motions one forwards [0], backwards [1] from a pose counts; None: 1 everywhere.
-    counts: Float[Array, "2 nx ny headings"] | None = None
+    counts: Counts | None = None  # k: how many motions one counts; None: one everywhere
 
     @property
     def never(self) -> float:
@@ -57,12 +58,13 @@ class CostToGo(eqx.Module):
         xp = _library(planar)
         if self.counts is None:
             return xp.ones_like(ahead)
-        _, nx, ny, n = self.counts.shape
+        nx, ny, n = self.counts.poses.shape
         origin, resolution = xp.asarray(self.origin), xp.asarray(self.resolution)
         i = xp.clip(xp.round((planar[..., 0] - origin[0]) / resolution), 0, nx - 1).astype(np.int32)
         j = xp.clip(xp.round((planar[..., 1] - origin[1]) / resolution), 0, ny - 1).astype(np.int32)
         k = xp.round(planar[..., 2] * (n / (2.0 * np.pi))).astype(np.int32) % n
-        return xp.asarray(self.counts)[xp.where(ahead >= 0.0, 0, 1), i, j, k]
+        number = xp.asarray(self.counts.number)[xp.where(ahead >= 0.0, 0, 1)]
+        return xp.where(xp.asarray(self.counts.poses)[i, j, k], number, xp.ones_like(number))
 
     def reachable(self, planar: Float[Array, "*batch 3"]) -> Array:
         """Return True where any of the eight poses of the grid around a pose has a path to the goal, ``(...)`` bool."""

@@ -91,7 +91,7 @@ class Motions:
             Bool ``(n_headings, n_motions, nx, ny)``.
         """
         blocked = dilate(occupied, _swept_cells(self, float(resolution), float(margin)))
-        return np.stack(blocked).reshape(self.n_headings, len(self.heading_steps), *np.shape(occupied))
+        return blocked.reshape(self.n_headings, len(self.heading_steps), *np.shape(occupied))
 
 
 @lru_cache(maxsize=4)  # depends on the car and the grid, not on the map

@@ -19,6 +19,7 @@ from vssm_gym.planning.car.footprint import Arena, collides, heading_grid, recta
 from vssm_gym.planning.result import Outcome
 from vssm_gym.planning.value_iteration import sweeps
 from vssm_gym.planning.value_iteration.cost_to_go import CostToGo
+from vssm_gym.planning.value_iteration.counts import Counts
 from vssm_gym.planning.value_iteration.motions import Motions
 from vssm_gym.planning.value_iteration.reachability import flood
 
@@ -95,8 +96,7 @@ class PoseGrid:
         motions: The arcs.
         config: Discount, margin, tolerance.
         blocked: ``(nx, ny, n_headings)`` bool, poses in collision.
-        counts: ``(2, nx, ny, n_headings)`` float, how many motions one forwards [0], backwards [1] from a pose counts;
-            None: one everywhere.
+        counts: how many motions one counts; None: one everywhere.
         layout, problem: The sweeps' own arrays.
     """
 
@@ -104,30 +104,23 @@ class PoseGrid:
     motions: Motions
     config: ValueConfig
     blocked: np.ndarray
-    counts: np.ndarray | None
+    counts: Counts | None
     layout: sweeps.Layout
     problem: sweeps.Problem
 
     @classmethod
-    def of(
-        cls, arena: Arena, car: Car, config: ValueConfig | None = None, counts: np.ndarray | None = None
-    ) -> "PoseGrid":
-        """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions.
-
-        ``counts`` are as the attribute, all of them from 1.
-        """
+    def of(cls, arena: Arena, car: Car, config: ValueConfig | None = None, counts: Counts | None = None) -> "PoseGrid":
+        """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions."""
         config = config or ValueConfig()
         motions = Motions.of(car, config.n_headings, config.turns)
         layout = sweeps.layout_of(motions, arena.occupied.shape, arena.resolution)
         headings = heading_grid(config.n_headings)
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
-        shares = None
-        if counts is not None:
-            if counts.shape != (2, *blocked.shape) or not counts.min() >= 1.0:
-                raise InputError("value iteration", "counts", f"numbers from 1 of shape {(2, *blocked.shape)}")
-            shares = config.gamma ** (np.moveaxis(counts, (3, 0), (0, 1)) - 1.0)
-        problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, shares)
+        if counts is not None and (counts.poses.shape != blocked.shape or not np.min(counts.number) >= 1.0):
+            expected = f"numbers from 1, and poses of shape {blocked.shape}"
+            raise InputError("value iteration", "counts", f"{expected}; found {counts.number}, {counts.poses.shape}")
+        problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, counts, config.gamma)
         return cls(arena, motions, config, blocked, counts, layout, problem)
 
     @cached_property
@@ -224,7 +217,7 @@ def solve_region(
         resolution=jnp.float32(grid.arena.resolution),
         gamma=config.gamma,
         motion_length=grid.motions.length,
-        counts=None if grid.counts is None else jnp.asarray(grid.counts, jnp.float32),
+        counts=grid.counts,
     )
     status = ValueStatus.CONVERGED if residual < config.tolerance else ValueStatus.NOT_CONVERGED
     return ValueResult(status, cost_to_go, residual, done, time.perf_counter() - began, free, unreachable)

@@ -1,6 +1,7 @@
 """Sweep ``W = gamma max_a share_a sum_c w_c W_c``: value iteration over (x, y, heading) (eq. P19).
 
-``share_a`` is 1, or ``gamma^(k - 1)`` from poses where motion ``a`` counts ``k`` times.
+``share_a`` is 1, or ``gamma^(k - 1)`` from poses where motion ``a`` counts ``k`` times
+(:class:`~vssm_gym.planning.value_iteration.counts.Counts`).
 
 With step cost 1 and ``V = 1 / (1 - gamma) - W`` the Bellman equation ``V = min_a 1 + gamma E[V']`` has no constant:
 ``W`` is the discounted reward of arriving, ``1 / (1 - gamma)`` at the goal, and exactly 0 in collision and wherever no
@@ -20,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 
+from vssm_gym.planning.value_iteration.counts import Counts
 from vssm_gym.planning.value_iteration.fused import fused
 from vssm_gym.planning.value_iteration.motions import Motions
 
@@ -33,7 +35,8 @@ class Problem(NamedTuple):
     ends: Int[np.ndarray, "headings motions 3"]  # the target heading, and the lower corner in cells from the start
     weights: Float[np.ndarray, "headings motions 4"]  # of the corners (x, y), (x, y + 1), (x + 1, y), (x + 1, y + 1)
     allowed: Int[np.ndarray, "headings interior"]  # bit a: motion a from this cell is free
-    shares: Float[np.ndarray, "headings 2 interior"] | None  # of motions forwards, backwards; None: all are 1
+    priced: Bool[np.ndarray, "headings interior"] | None  # from where motions count several times; None: nowhere
+    shares: Float[np.ndarray, "2"]  # of motions forwards, backwards from there
 
 
 class Layout(NamedTuple):
@@ -86,27 +89,35 @@ def problem_of(
     motions: Motions,
     layout: Layout,
     resolution: float,
-    blocked_motions: np.ndarray,
-    shares: np.ndarray | None = None,
+    blocked_motions: Bool[np.ndarray, "headings motions nx ny"],
+    counts: Counts | None,
+    gamma: float,
 ) -> Problem:
-    """Prepare the sweeps from ``(headings, motions, nx, ny)`` bool, the arcs that collide.
-
-    ``shares`` ``(headings, 2, nx, ny)`` are those of the motions forwards and backwards; None: all are 1.
-    """
-    n, n_motions = blocked_motions.shape[:2]
+    """Prepare the sweeps from the arcs that collide, and how many motions one counts."""
+    n = len(blocked_motions)
     low, weights = corners_of(motions, resolution)
     target = (np.arange(n)[:, None] + motions.heading_steps) % n
-    allowed = np.zeros((n, layout.nx, layout.ny), np.int32)
-    for a in range(n_motions):
-        allowed |= np.left_shift((~blocked_motions[:, a]).astype(np.int32), a)
-    if shares is not None:
-        shares = layout.flat(shares.reshape(2 * n, layout.nx, layout.ny)).reshape(n, 2, layout.interior)
+    allowed = np.zeros((n, layout.nx, layout.row), np.int32)
+    _pack(blocked_motions, allowed)
     return Problem(
         np.concatenate([target[..., None], low], axis=-1),
         weights.astype(np.float32),
-        layout.flat(allowed),
-        None if shares is None else shares.astype(np.float32),
+        allowed.reshape(n, layout.interior),
+        None if counts is None else layout.flat(np.moveaxis(counts.poses, -1, 0)),
+        np.ones(2, np.float32) if counts is None else np.float32(gamma) ** (np.asarray(counts.number) - np.float32(1)),
     )
+
+
+@njit(cache=True, nogil=True)
+def _pack(blocked_motions: np.ndarray, allowed: np.ndarray) -> None:
+    """Set bit a of ``allowed`` ``(headings, nx, at least ny)`` int32 where motion a is free."""
+    n, n_motions, nx, ny = blocked_motions.shape
+    for h in range(n):
+        for a in range(n_motions):
+            bit = np.int32(1 << a)
+            for x in range(nx):
+                for y in range(ny):
+                    allowed[h, x, y] |= np.int32(0) if blocked_motions[h, a, x, y] else bit
 
 
 def iterate(
@@ -142,7 +153,8 @@ def _iterate(
     ends: np.ndarray,
     weights: np.ndarray,
     allowed: np.ndarray,
-    shares: np.ndarray | None,
+    priced: np.ndarray | None,
+    shares: np.ndarray,
     layout: tuple[int, int, int],
     gamma: np.float32,
     top: np.float32,
@@ -161,7 +173,7 @@ def _iterate(
         for k in range(CHECK_EVERY):
             measured = k == CHECK_EVERY - 1
             residual = _sweep(
-                planes, other, moved, moving, goal, ends, weights, allowed, shares, layout, gamma, top, measured
+                planes, other, moved, moving, goal, ends, weights, allowed, priced, shares, layout, gamma, top, measured
             )
             planes, other = other, planes
             moved, moving = moving, moved
@@ -179,7 +191,8 @@ def _sweep(
     ends: np.ndarray,
     weights: np.ndarray,
     allowed: np.ndarray,
-    shares: np.ndarray | None,
+    priced: np.ndarray | None,
+    shares: np.ndarray,
     layout: tuple[int, int, int],
     gamma: np.float32,
     top: np.float32,
@@ -208,13 +221,14 @@ def _sweep(
             bits = allowed[h, cells : cells + size]
             for a in range(n_motions):
                 at, bit = ends[h, a, 0] * plane + here + ends[h, a, 1] * row + ends[h, a, 2], np.int32(1 << a)
+                share = shares[2 * a // n_motions]
                 w00, w01, w10, w11 = weights[h, a, 0], weights[h, a, 1], weights[h, a, 2], weights[h, a, 3]
                 c00, c01 = stored[at : at + size], stored[at + 1 : at + 1 + size]
                 c10, c11 = stored[at + row : at + row + size], stored[at + row + 1 : at + row + 1 + size]
                 for k in range(size):
                     mean = fused(w11, c11[k], fused(w10, c10[k], fused(w01, c01[k], w00 * c00[k])))
-                    if shares is not None:
-                        mean = mean * shares[h, 2 * a // n_motions, cells + k]
+                    if priced is not None:
+                        mean = mean * share if priced[h, cells + k] else mean
                     mean = mean if bits[k] & bit else np.float32(0.0)
                     best[k] = mean if mean > best[k] else best[k]
             at_goal = goal[h, cells : cells + size]
