@@ -19,7 +19,8 @@ from vssm_gym.eval.episodes.recorder import RecordedEnv
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import CONDITIONS, SweepConfig, expand
-from vssm_gym.eval.sweep.runner import copy_map, given_map_hash, jobs_of, manifest_of
+from vssm_gym.eval.sweep.jobs import copy_map, given_map_hash, jobs_of
+from vssm_gym.eval.sweep.manifest import manifest_of
 from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.progress import OnProgress
 

@@ -5,9 +5,7 @@ The folder holds ``sweep.json`` (configuration, its hash, version), ``tasks/``, 
 explorers write whole files to ``explored/``: the final maps of the first run of each agent in each scene.
 """
 
-import hashlib
 import itertools
-import json
 import multiprocessing
 import sys
 import warnings
@@ -16,31 +14,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from vssm_gym.agents.policy.policy_file import agent_label
-from vssm_gym.agents.renamed import hashed_name
 from vssm_gym.envs.scenes.faults import SceneWarning
-from vssm_gym.envs.scenes.scene import Apartment
 from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
-from vssm_gym.eval.episodes.identity import Episode
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key
 from vssm_gym.eval.episodes.manifest import MANIFEST
-from vssm_gym.eval.episodes.row import without_defaults
-from vssm_gym.eval.protocols.given_tasks import task_file_hash, write_given_tasks
-from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
+from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
+from vssm_gym.eval.sweep.jobs import copy_map, given_map_hash, jobs_of
+from vssm_gym.eval.sweep.manifest import manifest_of
 from vssm_gym.eval.sweep.own_agents import check_importable, code_hashes, own_agents
 from vssm_gym.eval.sweep.pools import WORKERS, PoolOf, pools
 from vssm_gym.eval.sweep.rounds import Rounds
 from vssm_gym.eval.sweep.shards import Part
-from vssm_gym.files.atomic import atomic_write
-from vssm_gym.files.output_folders import ADVICE, RESUME, Owner, check_at_least, check_folder, owned_folder
+from vssm_gym.files.output_folders import RESUME, Owner, check_at_least, check_folder, owned_folder
 from vssm_gym.files.shipped import MAPS, shipped
-from vssm_gym.maps.map_file import map_hash
-from vssm_gym.maps.voxel_map import read_metadata
 from vssm_gym.progress import OnProgress
-from vssm_gym.version import package_version
 
 SHARED = 8  # scenes whose episodes share workers: what agents compile for the shapes of a scene stays in memory
 
@@ -134,137 +124,6 @@ def leave_unguarded_import() -> None:
     """End a worker process that imports a program without a guard, and would start a sweep; its parent reports it."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         sys.exit(1)
-
-
-def config_hash(config: SweepConfig, scene_hashes: dict[str, str], seed: int) -> str:
-    """Hash what determines the results (configuration, scenes, policies, own agents' code, seed); 16 hex digits."""
-    content = _stated(config)
-    if config.explore is None:
-        del content["explore"]
-    content |= {"scenes": [scene_hashes[s] for s in config.scenes], "seed": seed}
-    content["agents"] = [hashed_name(agent_label(agent)) for agent in config.agents]
-    if codes := code_hashes(own_agents(config.agents)):
-        content["agent_code"] = codes
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _stated(config: SweepConfig) -> dict[str, Any]:
-    """Return the fields of a configuration, fields that came later only where they differ from what was before them."""
-    content = without_defaults(config.model_dump(mode="json"))
-    if config.map_surfaces == "learned":
-        del content["map_surfaces"]
-    if config.task_file is None:
-        del content["task_file"]
-    else:
-        content["task_file"] = task_file_hash(Path(config.task_file))
-    return content
-
-
-def manifest_of(
-    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Part | None
-) -> dict[str, Any]:
-    """Return the content of a sweep's manifest."""
-    hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
-    protocol = protocol_of(config.env[0])
-    shown = _stated(config) | {
-        "scenes": [scene_name(scene) for scene in config.scenes],
-        "agents": [agent_label(agent) for agent in config.agents],
-    }
-    return {
-        "config": shown,
-        "config_hash": config_hash(config, hashes, seed),
-        "scene_hashes": {scene_name(scene): content for scene, content in hashes.items()},
-        "notices": {scene_name(scene): protocol.notice(apartment) for scene, apartment in apartments.items()},
-        "version": package_version(),
-        "seed": seed,
-        "episodes": episodes,
-        **({"shard": shard.stated()} if shard else {}),
-    }
-
-
-def jobs_of(
-    episodes: Sequence[Episode],
-    scene: str,
-    apartment: Apartment,
-    out: Path,
-    config: SweepConfig,
-    manifest: dict[str, Any],
-    on_progress: OnProgress | None,
-) -> list[worker.Job]:
-    """Draw the tasks of a scene and learn its map if an agent needs it; return the jobs of its episodes."""
-    from vssm_gym.agents.registry import agent_type
-
-    map_file = None
-    task_files = {}
-    for env in dict.fromkeys(episode.condition.env for episode in episodes):
-        task_files[env] = out / "tasks" / f"{scene_name(scene)}-{SWEPT_ENVIRONMENTS[env].robot}.json"
-        if config.task_file is None:
-            protocol_of(env).write_tasks(apartment, max(config.tasks) + 1, task_files[env])
-        else:
-            write_given_tasks(Path(config.task_file), apartment, max(config.tasks) + 1, task_files[env])
-    if any(agent_type(episode.agent).needs_map for episode in episodes):
-        if "map_hash" in manifest:
-            map_file = out / "maps" / f"{scene_name(scene)}.npz"
-        else:
-            map_file = protocol_of(config.env[0]).ensure_map(
-                scene,
-                out,
-                voxel=config.voxel,
-                seed=manifest["seed"],
-                poses=config.map_poses,
-                surfaces=config.map_surfaces,
-                on_progress=on_progress,
-            )
-    with_map, without = (map_file, map_hash(map_file) if map_file else None), (None, None)
-    maps = {agent: with_map if agent_type(agent).needs_map else without for agent in config.agents}
-    signature = apartment.content_hash(), manifest["config_hash"], package_version()
-    return [
-        worker.Job(
-            episode,
-            *maps[episode.agent],
-            task_files[episode.condition.env],
-            *signature,
-            explored_file=_explored_file(episode, out, config),
-        )
-        for episode in episodes
-    ]
-
-
-def given_map_hash(config: SweepConfig, map_file: Path) -> str:
-    """Return the hash of a map that agents are given; raise :class:`InputError` where it cannot be theirs."""
-    if len(config.scenes) != 1:
-        raise InputError(map_file, "map", f"a configuration of one scene; found {len(config.scenes)}")
-    return scene_map_hash(map_file)
-
-
-def scene_map_hash(map_file: Path) -> str:
-    """Return the hash of a map in a scene's frame; raise :class:`InputError` for one in a camera's frame."""
-    if "sequence" in read_metadata(map_file):
-        expected = "a map in the scene's frame, of `vssm-gym map build`; this one is in its first camera's frame"
-        raise InputError(map_file, "frame", expected)
-    return map_hash(map_file)
-
-
-def copy_map(source: Path, target: Path) -> None:
-    """Copy a map into the folder, so that reports and resumed runs find it; the same one may be there."""
-    if target.is_file() and map_hash(target) == map_hash(source):
-        return
-    if target.exists():
-        raise InputError(target, "file", f"a copy of {source}; it differs ({ADVICE})")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(target) as temporary:
-        temporary.write_bytes(source.read_bytes())
-
-
-def _explored_file(episode: Episode, out: Path, config: SweepConfig) -> Path | None:
-    """Return the file for the map of an explorer's first run in each world; None for other episodes."""
-    c = episode.condition
-    first = (episode.task, episode.seed) == (config.tasks[0], config.seeds[0])
-    if SWEPT_ENVIRONMENTS[c.env].task != "explore" or not first:
-        return None
-    frame = without_defaults({"direction_frame": c.direction_frame}).values()
-    world = (scene_name(c.scene), c.noise, c.sensor_noise, c.renderer, *frame, episode.agent)
-    return out / "explored" / f"{'-'.join(world)}.npz"
 
 
 def _batches(scenes: Iterable[list[worker.Job]]) -> Iterator[list[worker.Job]]:

@@ -14,7 +14,7 @@ from vssm_gym.eval.protocols import explore as explore_protocol
 from vssm_gym.eval.protocols.episode import StepRecord
 from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.eval.sweep.config import SweepConfig, expand
-from vssm_gym.eval.sweep.runner import config_hash
+from vssm_gym.eval.sweep.manifest import config_hash
 from vssm_gym.eval.video import explorer_pictures as pictures
 from vssm_gym.eval.video.explorer import write_video
 from vssm_gym.eval.video.explorer_recording import Recording

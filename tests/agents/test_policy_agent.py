@@ -22,7 +22,7 @@ from vssm_gym.agents.shared.localization import Localization
 from vssm_gym.envs.robots import HolonomicRobot
 from vssm_gym.errors import InputError
 from vssm_gym.eval.sweep.config import SweepConfig, check_names, load_config
-from vssm_gym.eval.sweep.runner import config_hash
+from vssm_gym.eval.sweep.manifest import config_hash
 from vssm_gym.geometry.camera import Camera
 from vssm_gym.inference.status import Status
 from vssm_gym.model.transition import MotionNoise, Planar

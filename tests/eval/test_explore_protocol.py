@@ -18,12 +18,14 @@ from vssm_gym.envs.tasks.navigation import load, task_set
 from vssm_gym.envs.tasks.splits import split_of
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import FILE, episode_key, read_rows
+from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.protocols import explore as explore_protocol
 from vssm_gym.eval.protocols import explore_episode
 from vssm_gym.eval.protocols.agent_context import context_in
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep.config import expand, load_config
-from vssm_gym.eval.sweep.runner import MANIFEST, config_hash, run_sweep
+from vssm_gym.eval.sweep.manifest import config_hash
+from vssm_gym.eval.sweep.runner import run_sweep
 
 CONFIGS = CHECKOUT / "eval" / "configs"
 LIMIT = 60

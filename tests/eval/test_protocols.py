@@ -27,7 +27,7 @@ from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, EpisodeProtocol, protocol_of, view_of
 from vssm_gym.eval.report.view import View
 from vssm_gym.eval.sweep.config import load_config
-from vssm_gym.eval.sweep.runner import config_hash
+from vssm_gym.eval.sweep.manifest import config_hash
 from vssm_gym.planning.planners import PLANNERS
 
 BASELINES = CHECKOUT / "eval" / "baselines"

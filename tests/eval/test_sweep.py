@@ -20,11 +20,13 @@ from vssm_gym.cli.main import main
 from vssm_gym.envs.scenes.scene import save_scene
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.episodes.log import FILE, EpisodeLog, episode_key, read_rows
+from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.report.page import write_report
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import expand, load_config
+from vssm_gym.eval.sweep.manifest import config_hash
 from vssm_gym.eval.sweep.pools import LocalPool
-from vssm_gym.eval.sweep.runner import MANIFEST, SHARED, _batches, _run, config_hash, run_sweep
+from vssm_gym.eval.sweep.runner import SHARED, _batches, _run, run_sweep
 from vssm_gym.maps.map_file import map_hash
 from vssm_gym.slam.map_building import ensure_map
 from vssm_gym.version import package_version

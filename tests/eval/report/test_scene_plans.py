@@ -6,8 +6,8 @@ import numpy as np
 
 from tests.helpers.box_rooms import two_rooms
 from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.report.scene_plans import scene_plans
-from vssm_gym.eval.sweep.runner import MANIFEST
 
 
 def sweep(folder, content):

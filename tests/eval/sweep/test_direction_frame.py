@@ -15,7 +15,7 @@ from vssm_gym.eval.metrics.aggregate import paired_difference
 from vssm_gym.eval.protocols.agent_context import agent_context
 from vssm_gym.eval.report import tables
 from vssm_gym.eval.sweep.config import SweepConfig, check_names, expand, load_config
-from vssm_gym.eval.sweep.runner import config_hash
+from vssm_gym.eval.sweep.manifest import config_hash
 
 BODY = SweepConfig(scenes=("oak",), agents=("astar",), tasks=(0, 1))
 BOTH = BODY.model_copy(update={"direction_frame": ("body", "world")})

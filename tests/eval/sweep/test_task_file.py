@@ -11,7 +11,8 @@ from vssm_gym.envs.tasks.navigation import TaskSampler, task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval.episodes.log import read_rows
 from vssm_gym.eval.sweep.config import load_config
-from vssm_gym.eval.sweep.runner import config_hash, run_sweep
+from vssm_gym.eval.sweep.manifest import config_hash
+from vssm_gym.eval.sweep.runner import run_sweep
 
 
 @pytest.fixture(scope="module")
