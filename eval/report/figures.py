@@ -40,8 +40,10 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
     cdf.set(
         xlabel="mean location error of an episode, m", ylabel="proportion of episodes", xscale="log", ylim=(0, 1.02)
     )
-    low, high = np.log10(cdf.dataLim.intervalx)
-    if np.isfinite([low, high]).all():  # whole decades, which alone have numbers: those between would overlap
+    drawn = cdf.dataLim.intervalx
+    if np.isfinite(drawn).all() and drawn.min() > 0.0:  # agents with estimates
+        low, high = np.log10(drawn)
+        # Whole decades, which alone have numbers: those between would overlap
         cdf.set_xlim(10.0 ** np.floor(low), 10.0 ** max(np.ceil(high), np.floor(low) + 1.0))
     cdf.xaxis.set_minor_formatter(NullFormatter())
     growth.set(xlabel="true path so far, m", ylabel="median location error, m")
