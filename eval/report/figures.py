@@ -41,7 +41,7 @@ def curves(rows: Sequence[Row], seed: int) -> bytes:
         xlabel="mean location error of an episode, m", ylabel="proportion of episodes", xscale="log", ylim=(0, 1.02)
     )
     drawn = cdf.dataLim.intervalx
-    if np.isfinite(drawn).all() and drawn.min() > 0.0:  # agents with estimates
+    if np.isfinite(drawn).all():  # some agent has an estimate
         low, high = np.log10(drawn)
         # Whole decades, which alone have numbers: those between would overlap
         cdf.set_xlim(10.0 ** np.floor(low), 10.0 ** max(np.ceil(high), np.floor(low) + 1.0))

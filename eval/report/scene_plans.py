@@ -7,8 +7,8 @@ from vssm_gym.envs.rendering.topdown import TopDown
 from vssm_gym.envs.scenes.scene import load_scene
 from vssm_gym.envs.scenes.specs import scene_name
 from vssm_gym.errors import InputError
+from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.metrics.metric import Row
-from vssm_gym.eval.sweep.runner import MANIFEST
 from vssm_gym.files.json_file import read_json
 from vssm_gym.viz.pictures import Background
 

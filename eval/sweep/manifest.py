@@ -1,4 +1,4 @@
-"""State what a sweep is: its configuration and scenes, and the hash of all that determines its results."""
+"""State what a sweep is: its configuration and scenes, and the hash of what determines its results but a given map."""
 
 import hashlib
 import json

@@ -129,20 +129,21 @@ def leave_unguarded_import() -> None:
 def _batches(scenes: Iterable[list[worker.Job]]) -> Iterator[list[worker.Job]]:
     """Yield the jobs that workers are started for: those of each scene with a map, and of SHARED others together.
 
-    What workers compile is freed with them. With a map it is of the map's shape, and of no use in another scene; agents
-    that need none compile nearly the same in all scenes.
+    Scenes keep their order. What workers compile is freed with them: what agents with a map compile has the map's shape
+    and is of no use elsewhere, of the others' functions most serve all scenes.
     """
     together: list[list[worker.Job]] = []
     for jobs in scenes:
-        if any(job.map_file for job in jobs):
+        mapped = any(job.map_file for job in jobs)
+        if together and (mapped or len(together) == SHARED):
+            yield list(itertools.chain.from_iterable(together))
+            together = []
+        if mapped:
             yield jobs
-            continue
-        together.append(jobs)
-        if len(together) == SHARED:
-            yield list(itertools.chain(*together))
-            together.clear()
+        else:
+            together.append(jobs)
     if together:
-        yield list(itertools.chain(*together))
+        yield list(itertools.chain.from_iterable(together))
 
 
 def _run(jobs: list[worker.Job], log: EpisodeLog, pool_of: PoolOf, total: int, on_progress: OnProgress | None) -> None:

@@ -46,7 +46,7 @@ ONE_THREAD = {
 }
 
 
-_compiled: set[str] = set()  # agents that this process has run
+_compiled: set[tuple[str, str]] = set()  # agents that this process has run, and in which scenes
 
 
 class WorkerDiedError(InputError):
@@ -144,8 +144,8 @@ def run(job: Job, wrap: Wrap = unwrapped) -> dict[str, Any]:
         result["explored"] = _keep(agent, job)
     made_by = {"version": job.version, "processor": cpu_model()}
     signature = made_by | {"config_hash": job.config_hash, "map_hash": job.map_hash}
-    if episode.agent not in _compiled:
-        _compiled.add(episode.agent)
+    if (episode.agent, episode.condition.scene) not in _compiled:
+        _compiled.add((episode.agent, episode.condition.scene))
         release_memory()
     return episode.identity(job.scene_hash) | signature | result
 

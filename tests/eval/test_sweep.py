@@ -90,6 +90,8 @@ def test_only_scenes_without_a_map_share_workers():
     scenes = [[SimpleNamespace(scene=k, map_file=None)] * 2 for k in range(SHARED + 3)]
     assert [len(jobs) for jobs in _batches(scenes)] == [2 * SHARED, 6]
     assert [job.scene for jobs in _batches(scenes) for job in jobs] == [k for k in range(SHARED + 3) for _ in range(2)]
+    mixed = [[SimpleNamespace(scene=k, map_file=Path("map.npz") if k == 1 else None)] for k in range(3)]
+    assert [[job.scene for job in jobs] for jobs in _batches(mixed)] == [[0], [1], [2]]
     learned = []
 
     def learning():

@@ -342,11 +342,15 @@ class GrowingCritic:
         occupied = self._plan[0] == OCCUPIED
         arena = Arena(occupied, self._distance(np.zeros_like(occupied)), self._corner, self._resolution)
         counts = self._counts()
-        config = lambda margin: ValueConfig(margin=margin, tolerance=TOLERANCE)
-        return cache(lambda margin: PoseGrid.of(arena, self._car, config(margin), counts))
+
+        @cache
+        def grid_of(margin: float) -> PoseGrid:
+            return PoseGrid.of(arena, self._car, ValueConfig(margin=margin, tolerance=TOLERANCE), counts)
+
+        return grid_of
 
     def _counts(self) -> Counts:
-        """Return how many motions one counts: from poses over unseen cells it is dearer, the less it has failed."""
+        """Return how many motions one from poses over unseen cells counts; each failure halves what is above 1."""
         headings = heading_grid(ValueConfig().n_headings)
         over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, SEEN_MARGIN)
         priced = [1.0 + 0.5**self._failed * (count - 1.0) for count in self._config.unknown]

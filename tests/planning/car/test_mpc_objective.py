@@ -78,6 +78,7 @@ def test_steps_over_unknown_cells_count_as_motions_do(seed: int) -> None:
     controls = drawn(seed)
     fields = make_fields(value, clearance, PROBLEM.car)
     plans = objective.evaluate(PROBLEM, fields, *(jnp.asarray(a, jnp.float32) for a in (START, LAST, controls)))
+    assert fields.value.counts.poses.dtype == bool
     cost, _, _ = worlds.Oracle(PROBLEM, value, clearance)(START, LAST, controls)
     np.testing.assert_allclose(plans.cost, cost, rtol=1e-5)
     free = dataclasses.replace(value, counts=Counts(over, np.ones(2, np.float32)))

@@ -300,6 +300,19 @@ def test_motions_that_count_several_times_cost_so_and_close_nothing():
     assert np.abs(dear - expected).max() < 0.02
 
 
+@pytest.mark.parametrize("number", [(3.0,), 3.0, (3.0, 0.5), (np.nan, 3.0), (np.inf, 3.0)])
+def test_numbers_that_are_no_counts_are_refused(number):
+    counts = Counts(np.zeros((*SHAPE, 16), bool), np.array(number))
+    with pytest.raises(InputError, match=r"counts\.number: expected two finite numbers from 1"):
+        PoseGrid.of(arena_of(room()), SMALL, COARSE, counts)
+
+
+@pytest.mark.parametrize("poses", [np.zeros((*SHAPE, 15), bool), np.zeros((*SHAPE, 16), np.float32)])
+def test_poses_of_another_grid_or_type_are_refused(poses):
+    with pytest.raises(InputError, match=r"counts\.poses: expected bool of shape"):
+        PoseGrid.of(arena_of(room()), SMALL, COARSE, Counts(poses, np.ones(2)))
+
+
 def test_compiles_once_for_all_goals_and_maps(small_grid):
     solve(small_grid, place(small_grid.arena, 3, 3), radius=0.06)
     compiled = len(sweeps._iterate.signatures)

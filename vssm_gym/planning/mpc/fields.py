@@ -84,9 +84,10 @@ def make_fields(value: CostToGo, clearance: ClearanceMap, car: Car) -> Fields:
     if min(clearance.clearance.shape) < 2:
         raise InputError("plan", "clearance", f"at least 2 x 2 cells; found {clearance.clearance.shape}")
     f32 = lambda a: jnp.asarray(a, jnp.float32)
+    as_jax = lambda a: jnp.asarray(a) if np.asarray(a).dtype == np.bool_ else f32(a)
     discount, step_cost = value_units(value, car)
     return Fields(
-        eqx.tree_at(lambda v: v.values, jax.tree.map(f32, value), continued(f32(value.values), value)),
+        eqx.tree_at(lambda v: v.values, jax.tree.map(as_jax, value), continued(f32(value.values), value)),
         f32(walled(clearance)),
         f32(clearance.origin),
         f32(clearance.resolution),

@@ -112,14 +112,13 @@ class PoseGrid:
     def of(cls, arena: Arena, car: Car, config: ValueConfig | None = None, counts: Counts | None = None) -> "PoseGrid":
         """Test the footprint at every pose and along every motion: 0.1 s for 160 x 128 x 64 poses and 10 motions."""
         config = config or ValueConfig()
+        if counts is not None:
+            counts = counts.checked((*arena.occupied.shape, config.n_headings))
         motions = Motions.of(car, config.n_headings, config.turns)
         layout = sweeps.layout_of(motions, arena.occupied.shape, arena.resolution)
         headings = heading_grid(config.n_headings)
         blocked = rectangle_collisions(arena.occupied, arena.resolution, car, headings, config.margin)
         arcs = motions.collisions(arena.occupied, arena.resolution, config.margin)
-        if counts is not None and (counts.poses.shape != blocked.shape or not np.min(counts.number) >= 1.0):
-            expected = f"numbers from 1, and poses of shape {blocked.shape}"
-            raise InputError("value iteration", "counts", f"{expected}; found {counts.number}, {counts.poses.shape}")
         problem = sweeps.problem_of(motions, layout, arena.resolution, arcs, counts, config.gamma)
         return cls(arena, motions, config, blocked, counts, layout, problem)
 

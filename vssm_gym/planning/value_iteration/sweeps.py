@@ -103,7 +103,7 @@ def problem_of(
         np.concatenate([target[..., None], low], axis=-1),
         weights.astype(np.float32),
         allowed.reshape(n, layout.interior),
-        None if counts is None else layout.flat(np.moveaxis(counts.poses, -1, 0)),
+        None if counts is None else layout.flat(np.moveaxis(np.asarray(counts.poses), -1, 0)),
         np.ones(2, np.float32) if counts is None else np.float32(gamma) ** (np.asarray(counts.number) - np.float32(1)),
     )
 
