@@ -1,4 +1,4 @@
-"""State what a sweep is: its configuration and scenes, and the hash of what determines its results but a given map."""
+"""State what a sweep is: its configuration and scenes, the hashes of what determines its results, and the version."""
 
 import hashlib
 import json
@@ -13,6 +13,7 @@ from vssm_gym.eval.episodes.row import without_defaults
 from vssm_gym.eval.protocols.given_tasks import task_file_hash
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep.config import SweepConfig
+from vssm_gym.eval.sweep.given_map import given_map_hash
 from vssm_gym.eval.sweep.own_agents import code_hashes, own_agents
 from vssm_gym.eval.sweep.shards import Part
 from vssm_gym.version import package_version
@@ -43,10 +44,16 @@ def _stated(config: SweepConfig) -> dict[str, Any]:
 
 
 def manifest_of(
-    config: SweepConfig, apartments: dict[str, Apartment], seed: int, episodes: int, shard: Part | None
+    config: SweepConfig,
+    apartments: dict[str, Apartment],
+    seed: int,
+    episodes: int,
+    shard: Part | None = None,
+    map_file: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the content of a sweep's manifest."""
+    """Return the content of a sweep's manifest; with ``map_file``, of a sweep whose agents are given this map."""
     hashes = {scene: apartment.content_hash() for scene, apartment in apartments.items()}
+    codes = code_hashes(own_agents(config.agents))
     protocol = protocol_of(config.env[0])
     shown = _stated(config) | {
         "scenes": [scene_name(scene) for scene in config.scenes],
@@ -61,4 +68,6 @@ def manifest_of(
         "seed": seed,
         "episodes": episodes,
         **({"shard": shard.stated()} if shard else {}),
+        **({"agent_code": codes} if codes else {}),
+        **({"map_hash": given_map_hash(config, map_file)} if map_file else {}),
     }

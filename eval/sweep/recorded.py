@@ -19,7 +19,8 @@ from vssm_gym.eval.episodes.recorder import RecordedEnv
 from vssm_gym.eval.protocols.registry import SWEPT_ENVIRONMENTS, protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import CONDITIONS, SweepConfig, expand
-from vssm_gym.eval.sweep.jobs import copy_map, given_map_hash, jobs_of
+from vssm_gym.eval.sweep.given_map import copy_map
+from vssm_gym.eval.sweep.jobs import jobs_of
 from vssm_gym.eval.sweep.manifest import manifest_of
 from vssm_gym.files.shipped import MAPS, shipped
 from vssm_gym.progress import OnProgress
@@ -84,10 +85,10 @@ def _episodes(
         warnings.simplefilter("ignore", SceneWarning)  # the command prints them as notices
         apartments = {scene: protocol.load(scene) for scene in config.scenes}
         wanted = list(expand(config))
-        manifest = manifest_of(config, apartments, seed, len(wanted), None)
         if map_file is not None:
             map_file = shipped(map_file, MAPS)
-            manifest["map_hash"] = given_map_hash(config, map_file)
+        manifest = manifest_of(config, apartments, seed, len(wanted), map_file=map_file)
+        if map_file is not None:
             copy_map(map_file, scratch / "maps" / f"{scene_name(config.scenes[0])}.npz")
         done = 0
         for scene in config.scenes:

@@ -22,9 +22,10 @@ from vssm_gym.eval.episodes.manifest import MANIFEST
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep import worker
 from vssm_gym.eval.sweep.config import SweepConfig, expand
-from vssm_gym.eval.sweep.jobs import copy_map, given_map_hash, jobs_of
+from vssm_gym.eval.sweep.given_map import copy_map
+from vssm_gym.eval.sweep.jobs import jobs_of
 from vssm_gym.eval.sweep.manifest import manifest_of
-from vssm_gym.eval.sweep.own_agents import check_importable, code_hashes, own_agents
+from vssm_gym.eval.sweep.own_agents import check_importable, own_agents
 from vssm_gym.eval.sweep.pools import WORKERS, PoolOf, pools
 from vssm_gym.eval.sweep.rounds import Rounds
 from vssm_gym.eval.sweep.shards import Part
@@ -90,12 +91,9 @@ def run_sweep(
         episodes = list(expand(config))
         if shard is not None:
             episodes = shard.part(episodes)
-        manifest = manifest_of(config, apartments, seed, len(episodes), shard)
-        if codes := code_hashes(own):
-            manifest["agent_code"] = codes
         if map_file is not None:
             map_file = shipped(map_file, MAPS)
-            manifest["map_hash"] = given_map_hash(config, map_file)
+        manifest = manifest_of(config, apartments, seed, len(episodes), shard, map_file)
         identity = ("map_hash", "agent_code", "config_hash", "shard")
         owner = Owner("sweep", MANIFEST, manifest, identity=identity, resumed=(FILE,))
         with (

@@ -26,7 +26,7 @@ from vssm_gym.eval.protocols.episode import StepRecord, run_episode
 from vssm_gym.eval.protocols.explore_episode import map_of
 from vssm_gym.eval.protocols.shared import sampler_of, world
 from vssm_gym.eval.sweep.config import OF_ONE, SweepConfig, check_names, expand
-from vssm_gym.eval.sweep.jobs import scene_map_hash
+from vssm_gym.eval.sweep.given_map import scene_map_hash
 from vssm_gym.eval.sweep.manifest import config_hash
 from vssm_gym.eval.video import navigator_pictures
 from vssm_gym.eval.video.ending import Ending

@@ -15,7 +15,7 @@ from vssm_gym.envs.tasks.navigation import task_set
 from vssm_gym.errors import InputError
 from vssm_gym.eval.protocols.registry import protocol_of
 from vssm_gym.eval.sweep.config import SweepConfig
-from vssm_gym.eval.sweep.jobs import given_map_hash
+from vssm_gym.eval.sweep.given_map import given_map_hash
 from vssm_gym.eval.video.navigator_run import CHECKED_TASKS, IMAGENAV, POINTNAV, map_notice
 from vssm_gym.files.shipped import ASSETS, MAPS, shipped
 from vssm_gym.maps.voxel_map import VoxelMap, read_metadata
