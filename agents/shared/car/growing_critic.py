@@ -24,16 +24,18 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_dilation
+from scipy.ndimage import binary_dilation
 
 from vssm_gym.agents.shared.car.critic import ATTEMPTS, path_nearby
-from vssm_gym.agents.shared.car.looking import SEEN_MARGIN, Sight, between
+from vssm_gym.agents.shared.car.looking import SEEN_MARGIN, Sight
+from vssm_gym.agents.shared.car.plan_window import PlanWindow
+from vssm_gym.agents.shared.car.routes import descend, way_out
 from vssm_gym.geometry.arc import poses_after, turn_of
 from vssm_gym.geometry.car import GOAL_HEADING_TOLERANCE, GOAL_RADIUS, Car
-from vssm_gym.planning.car.footprint import Arena, footprint_cells, heading_grid, overlaps, rectangle_collisions
+from vssm_gym.planning.car.footprint import Arena, heading_grid, overlaps, rectangle_collisions
 from vssm_gym.planning.clearance import ClearanceMap
 from vssm_gym.planning.floor_plan import FloorPlan
-from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
+from vssm_gym.planning.occupancy_grid import OCCUPIED, UNKNOWN
 from vssm_gym.planning.value_iteration import (
     CostToGo,
     Counts,
@@ -45,7 +47,6 @@ from vssm_gym.planning.value_iteration import (
     solve_region,
 )
 
-ROUTE_MOTIONS = 120  # of the route at most: 16 m
 TOLERANCE = 0.02  # motions, of the Bellman residual
 SEEN_SHARE = 0.7  # of a patch, from which on it has been looked at
 DRIVEN_SHARE = 0.5  # of the cells that it dared, from which on it has driven onto them: their edge it only passes
@@ -108,9 +109,7 @@ class GrowingCritic:
         self._bold = False  # it may drive onto what it meets first, seen in time or not
         self.status = ValueStatus.UNREACHABLE
         self.computed = 0  # how often
-        self._plan: tuple[np.ndarray, np.ndarray]  # the newest cells and occupancy on the grid
-        self._unseen: np.ndarray  # the unknown cells among them that nothing seen encloses
-        self._resolution = 0.0
+        self._window: PlanWindow  # the newest plan on the grid
 
     def update(self, plan: FloorPlan, planar: np.ndarray) -> None:
         """Take the newest floor plan, and the pose of the car (m, rad); compute the cost-to-go again if need be."""
@@ -118,7 +117,7 @@ class GrowingCritic:
             self._place(plan, planar, 0)
         self._cut(plan)
         self._waited += 1
-        if not self._matters(self._plan[0], planar):
+        if not self._matters(self._window.cells, planar):
             return
         self._compute(planar)
         while self.value is None and self._side + 1 < len(self._config.sides):
@@ -146,7 +145,7 @@ class GrowingCritic:
 
     def clearance(self) -> ClearanceMap:
         """Return the distance to what is occupied or unseen, which the actor has to keep."""
-        return self._distance(self._unseen & ~self._dared)
+        return self._window.clearance(self._window.unseen & ~self._dared)
 
     def dare(self, planar: np.ndarray) -> bool:
         """Decide anew at the next update, as the car does not get on; unseen space is cheaper if little was seen since.
@@ -156,10 +155,10 @@ class GrowingCritic:
         """
         if self._followed is None:
             return False
-        met = self._sight(self._unseen).first_met(descend(self._followed, planar, self._car)[:DARED])
+        met = self._sight(self._window.unseen).first_met(descend(self._followed, planar, self._car)[:DARED])
         if met is None and not self.looks:
             return False
-        if self._used is None or np.count_nonzero(self._plan[0] != self._used) < self._config.changed:
+        if self._used is None or np.count_nonzero(self._window.cells != self._used) < self._config.changed:
             if met is None:
                 self._vain[tuple(self._patch.T)] = True
             self._failed, self._bold = self._failed + 1, True
@@ -174,41 +173,19 @@ class GrowingCritic:
         if self._followed is None:
             return None
         route = descend(self._followed, planar, self._car)[: DARED + 1]
-        met = self._sight(self._unseen & ~self._dared).first_met(route)
+        met = self._sight(self._window.unseen & ~self._dared).first_met(route)
         route = route if met is None else route[:met]
-        return route if len(route) > 1 else self._way_out(self._followed, planar)
-
-    def _way_out(self, followed: CostToGo, planar: np.ndarray) -> np.ndarray | None:
-        """Return a short arc ``(2, 3)`` to the best pose around one from which the cost-to-go knows no motion.
-
-        Its margin or an error of the map may block where the car stands. The arc meets nothing more than the car does
-        there. Where no pose around has a path either, the best is the one with the most room.
-        """
-        steering = np.linspace(-self._car.max_steering, self._car.max_steering, 5)
-        shares = np.array([0.3, 0.6, 1.0, -0.3, -0.6, -1.0])  # of a motion
-        length: Any = np.repeat(followed.motion_length * shares, len(steering))
-        turn = turn_of(length, np.tile(steering, len(shares)), self._car.wheelbase)
-        ends: Any = poses_after(planar[2], length, turn, planar[0], planar[1])
-        kept_off = (self._plan[0] == OCCUPIED) | (self._unseen & ~self._dared)
-        met = lambda pose, margin: self._set_under(kept_off, pose, margin)
-        here, crowded = met(planar, 0.0), len(met(planar, SEEN_MARGIN))
-        costs = np.asarray(followed.at(ends))
-        room = [followed.never + len(met(pose, SEEN_MARGIN)) for pose in ends]
-        costs = np.where(costs < followed.never, costs, room)
-        for k in np.argsort(costs):
-            if costs[k] >= followed.never + crowded:
-                return None
-            if all(met(pose, 0.0) <= here for pose in between(np.stack([planar, ends[k]]))):
-                return np.stack([planar, ends[k]])
-        return None
+        if len(route) > 1:
+            return route
+        return way_out(self._followed, planar, self._car, self._window, self._dared)
 
     def careful(self, planar: np.ndarray, control: np.ndarray) -> bool:
         """Return True where a command ``(speed, steering)`` leads onto unseen cells within :data:`CAREFUL`."""
-        cells = self._dared & (self._plan[0] == UNKNOWN)
+        cells = self._dared & (self._window.cells == UNKNOWN)
         lengths = np.copysign(CAREFUL, control[0]) * np.array([0.0, 0.5, 1.0])
         turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
         ends = poses_after(planar[2], lengths, turns, *planar[:2])
-        return any(overlaps(cells, self._corner, self._resolution, pose, self._car) for pose in ends)
+        return any(overlaps(cells, self._corner, self._window.resolution, pose, self._car) for pose in ends)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -223,29 +200,15 @@ class GrowingCritic:
         while side + 1 < len(sides) and sides[side] * plan.resolution < span:
             side += 1
         wanted = ends.mean(axis=0) - 0.5 * (sides[side] - 1) * plan.resolution
-        self._side, self._resolution = side, plan.resolution
+        self._side = side
         self._corner = plan.origin + np.round((wanted - plan.origin) / plan.resolution) * plan.resolution
         self.value = None
         self._dared, self._vain = (np.zeros((sides[side], sides[side]), bool) for _ in range(2))
         self._daring = NONE
 
     def _cut(self, plan: FloorPlan) -> None:
-        """Take the plan's cells and occupancy on the grid; unknown where the plan does not reach.
-
-        An unknown cell that known ones enclose, or that lies between a free one and an obstacle, counts as seen. The
-        others at the border of what is known do not: the first unknown cell behind a car may hold a wall.
-        """
-        n = self._config.sides[self._side]
-        cells, occupancy = np.full((n, n), UNKNOWN, np.int8), np.full((n, n), -np.inf, np.float32)
-        first = np.round((plan.origin - self._corner) / plan.resolution).astype(int)
-        ours = tuple(slice(max(0, f), min(n, f + m)) for f, m in zip(first, plan.cells.shape, strict=True))
-        theirs = tuple(slice(s.start - f, s.stop - f) for s, f in zip(ours, first, strict=True))
-        if all(s.stop > s.start for s in ours):
-            cells[ours], occupancy[ours] = plan.cells[theirs], plan.occupancy[theirs]
-        self._plan = cells, occupancy
-        known, around = cells != UNKNOWN, np.ones((3, 3), bool)
-        between = binary_dilation(cells == FREE, around) & binary_dilation(cells == OCCUPIED, around)
-        self._unseen = ~(known | between | binary_closing(known, around))
+        """Take the newest plan on the grid."""
+        self._window = PlanWindow.cut(plan, self._corner, self._config.sides[self._side])
 
     def _matters(self, cells: np.ndarray, planar: Any) -> bool:
         """Return True where the cost-to-go has to be computed again."""
@@ -254,7 +217,7 @@ class GrowingCritic:
         appeared = (cells == OCCUPIED) & (self._used != OCCUPIED)
         if (appeared & self._near).any():
             return True
-        if self.looks and self._unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
+        if self.looks and self._window.unseen[tuple(self._patch.T)].mean() < 1.0 - SEEN_SHARE:
             return True
         self._looked = self._looked + 1 if self.looks and self.motions(planar) <= 0.0 else 0
         if self._looked > LOOKED:
@@ -272,8 +235,7 @@ class GrowingCritic:
 
     def _compute(self, planar: np.ndarray) -> None:
         """Compute the cost-to-go with the widest margin that has a path, and what has to be looked at first."""
-        cells, _ = self._plan
-        nothing: np.ndarray = np.zeros(cells.shape, bool)
+        cells = self._window.cells
         grid_of = self._grids()
 
         def to_goal(grid: PoseGrid, share: float, start: np.ndarray | None) -> ValueResult:
@@ -283,7 +245,7 @@ class GrowingCritic:
         result = self._best(grid_of, planar, to_goal)
         self.value, self.status = result.cost_to_go, result.status
         self.aim, self._followed = None, self.value
-        self._used, self._patch, self._near = cells, NONE, nothing
+        self._used, self._patch, self._near = cells, NONE, np.zeros(cells.shape, bool)
         self._waited = self._looked = 0
         self._dare(NONE)
         self._until = -np.inf
@@ -292,7 +254,7 @@ class GrowingCritic:
         if self._followed is None:
             return
         route = descend(self._followed, planar, self._car)
-        hoped = self._sight(self._unseen & ~self._vain)
+        hoped = self._sight(self._window.unseen & ~self._vain)
         patch = hoped.blind(route)
         if len(patch):
             shows = hoped.viewpoints(patch, ValueConfig().n_headings)
@@ -303,7 +265,7 @@ class GrowingCritic:
                 if hoped.risk(around, prices) < hoped.risk(route, prices):
                     self._followed, self._patch, route = look.cost_to_go, patch, around
         self.aim = replace(self._followed, counts=None)
-        sight = self._sight(self._unseen)
+        sight = self._sight(self._window.unseen)
         first = sight.first_blind(route)
         if first is None and bold:
             first = sight.first_met(route[:DARED])
@@ -311,17 +273,12 @@ class GrowingCritic:
             self._dare(sight.swept(route[first - 1 : first + 1]))
             before, after = (self.motions(pose) for pose in route[first - 1 : first + 1])
             self._until = after + DRIVEN_REST * (before - after)
-        self._near = self._around(route, nothing)
-
-    def _set_under(self, cells: np.ndarray, planar: np.ndarray, margin: float) -> set[tuple[int, ...]]:
-        """Return which of the set cells lie under the footprint at a pose, ``margin`` (m) wider all around."""
-        under = footprint_cells(self._corner, self._resolution, planar, self._car, margin)
-        under = under[np.all((under >= 0) & (under < cells.shape), axis=1)]
-        return {tuple(cell) for cell in under[cells[tuple(under.T)]].tolist()}
+        self._near = self._window.around(route, self._car, self._config.near)
 
     def _sight(self, unseen: np.ndarray) -> Sight:
         """Return what is seen from where on the newest plan, some of whose cells are unseen."""
-        return Sight(self._plan[0] == OCCUPIED, unseen, self._corner, self._resolution, self._car, self._half_angle)
+        window = self._window
+        return Sight(window.occupied, unseen, window.corner, window.resolution, self._car, self._half_angle)
 
     def _dare(self, patch: np.ndarray) -> None:
         """Let the actor drive onto a patch of cells as if they were seen; around it only where it failed to before."""
@@ -330,17 +287,11 @@ class GrowingCritic:
         if self._failed:
             self._dared = binary_dilation(self._dared, iterations=min(self._failed, WIDEST))
 
-    def _distance(self, also: np.ndarray) -> ClearanceMap:
-        """Return the distance to what is occupied, and to the cells of ``also``."""
-        cells, occupancy = self._plan
-        field = np.where((cells != UNKNOWN) & np.isfinite(occupancy), occupancy, -self._resolution)
-        field = np.where(also, np.maximum(field, 0.5 * self._resolution), field)
-        return ClearanceMap.from_occupancy(field, self._corner, self._resolution)
-
     def _grids(self) -> Callable[[float], PoseGrid]:
         """Return the newest plan's poses and motions for a margin (m), which are worked out once for each."""
-        occupied = self._plan[0] == OCCUPIED
-        arena = Arena(occupied, self._distance(np.zeros_like(occupied)), self._corner, self._resolution)
+        occupied = self._window.occupied
+        clearance = self._window.clearance(np.zeros_like(occupied))
+        arena = Arena(occupied, clearance, self._corner, self._window.resolution)
         counts = self._counts()
 
         @cache
@@ -352,7 +303,7 @@ class GrowingCritic:
     def _counts(self) -> Counts:
         """Return how many motions one from poses over unseen cells counts; each failure halves what is above 1."""
         headings = heading_grid(ValueConfig().n_headings)
-        over = rectangle_collisions(self._unseen, self._resolution, self._car, headings, SEEN_MARGIN)
+        over = rectangle_collisions(self._window.unseen, self._window.resolution, self._car, headings, SEEN_MARGIN)
         priced = [1.0 + 0.5**self._failed * (count - 1.0) for count in self._config.unknown]
         return Counts(over, np.array(priced, np.float32))
 
@@ -373,30 +324,3 @@ class GrowingCritic:
             if result.cost_to_go is not None:
                 return result
         return result
-
-    def _around(self, route: np.ndarray, nothing: np.ndarray) -> np.ndarray:
-        """Return the cells within ``near`` of the footprint along a route."""
-        near = nothing.copy()
-        for pose in route:
-            under = footprint_cells(self._corner, self._resolution, pose, self._car, self._config.near)
-            under = under[np.all((under >= 0) & (under < near.shape), axis=1)]
-            near[tuple(under.T)] = True
-        return near
-
-
-def descend(value: CostToGo, planar: Any, car: Car) -> np.ndarray:
-    """Return the poses ``(n, 3)`` along the best motions of a cost-to-go, up to the target or a minimum."""
-    steering = np.linspace(-car.max_steering, car.max_steering, 5)
-    length: Any = value.motion_length * np.repeat([1.0, -1.0], len(steering))
-    turn = turn_of(length, np.tile(steering, 2), car.wheelbase)
-    route, cost = [np.asarray(planar, np.float64)], float(value.at(planar))
-    for _ in range(ROUTE_MOTIONS):
-        here: Any = np.broadcast_to(route[-1], (len(length), 3))
-        ends: Any = poses_after(here[:, 2], length, turn, here[:, 0], here[:, 1])
-        costs, share = np.asarray(value.at(ends)), value.gamma ** np.asarray(value.counted(here, length))
-        best = int(((1.0 - share) * value.never + share * costs).argmin())
-        if cost <= 0.0 or costs[best] >= cost:
-            break
-        route.append(ends[best])
-        cost = float(costs[best])
-    return np.array(route)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vssm_gym.agents.shared.car.growing_critic import LOOKED, TOLERANCE, GrowingConfig, GrowingCritic, descend
+from vssm_gym.agents.shared.car.growing_critic import LOOKED, TOLERANCE, GrowingConfig, GrowingCritic
+from vssm_gym.agents.shared.car.routes import descend, way_out
 from vssm_gym.geometry.car import GOAL_RADIUS, Car
 from vssm_gym.planning.floor_plan import FloorPlan
 from vssm_gym.planning.occupancy_grid import FREE, OCCUPIED, UNKNOWN
@@ -224,7 +225,7 @@ def unseen_in(known: FloorPlan, *places: tuple[float, float]) -> list[bool]:
     critic = GrowingCritic(CAR, STRAIGHT_BEHIND, HALF_ANGLE, CONFIG)
     critic.update(known, FACING)
     cells = np.round((np.array(places) - critic._corner) / CELL).astype(int)
-    return [bool(critic._unseen[tuple(cell)]) for cell in cells]
+    return [bool(critic._window.unseen[tuple(cell)]) for cell in cells]
 
 
 def test_the_first_unknown_cell_behind_a_car_is_unseen():
@@ -269,12 +270,18 @@ def test_it_is_led_onto_what_it_dares_and_no_further():
     route = critic.lead(FACING)
     np.testing.assert_array_equal(route[0], FACING)
     dared = {tuple(cell) for cell in critic._daring}
-    sight = critic._sight(critic._unseen)
+    sight = critic._sight(critic._window.unseen)
     met = {tuple(cell) for cell in sight.swept(route)}
     assert met and met <= dared
     following = descend(critic._followed, FACING, CAR)
     assert len(route) < len(following)
     np.testing.assert_array_equal(route, following[: len(route)])
+
+
+def under(critic, cells, pose):
+    """Return which of the set cells lie under the car at a pose."""
+    found = critic._window.under(pose, CAR, 0.0)
+    return {tuple(cell) for cell in found[cells[tuple(found.T)]].tolist()}
 
 
 def test_where_no_motion_is_free_a_short_arc_leads_to_the_best_pose():
@@ -283,7 +290,7 @@ def test_where_no_motion_is_free_a_short_arc_leads_to_the_best_pose():
     critic._dare(np.zeros((0, 2), int))
     route = critic.lead(FACING)
     assert len(route) == 2 and 0.0 < FACING[0] - route[1][0] < 0.1
-    assert critic.value.reachable(route[1]) and not critic._set_under(critic._unseen, route[1], 0.0)
+    assert critic.value.reachable(route[1]) and not under(critic, critic._window.unseen, route[1])
 
 
 def test_a_short_arc_meets_no_other_cells_than_the_car_does_where_it_stands():
@@ -292,13 +299,14 @@ def test_a_short_arc_meets_no_other_cells_than_the_car_does_where_it_stands():
     values = np.asarray(critic._followed.values)
     cheaper_ahead = np.broadcast_to(90.0 - np.arange(len(values))[:, None, None], values.shape).astype(np.float32)
     followed = replace(critic._followed, values=cheaper_ahead)
-    assert critic._way_out(followed, FACING)[1][0] > FACING[0] + 0.1
-    cells, met = critic._plan[0], lambda pose: critic._set_under(critic._plan[0] == OCCUPIED, pose, 0.0)
+    out = lambda: way_out(followed, FACING, CAR, critic._window, critic._dared)
+    assert out()[1][0] > FACING[0] + 0.1
+    cells, met = critic._window.cells, lambda pose: under(critic, critic._window.occupied, pose)
     for y in (0.55, 0.6, 0.65):
         for x in (1.15, 1.6):
             cells[tuple(np.round((np.array([x, y]) - critic._corner) / CELL).astype(int))] = OCCUPIED
     assert len(met(FACING)) == 3
-    end = critic._way_out(followed, FACING)[1]
+    end = out()[1]
     assert met(end) <= met(FACING) and end[0] < FACING[0] + 0.05
 
 
