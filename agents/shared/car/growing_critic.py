@@ -185,7 +185,7 @@ class GrowingCritic:
         lengths = np.copysign(CAREFUL, control[0]) * np.array([0.0, 0.5, 1.0])
         turns = turn_of(lengths, float(control[1]), self._car.wheelbase)
         ends = poses_after(planar[2], lengths, turns, *planar[:2])
-        return any(overlaps(cells, self._corner, self._window.resolution, pose, self._car) for pose in ends)
+        return any(overlaps(cells, self._window.corner, self._window.resolution, pose, self._car) for pose in ends)
 
     def forget(self) -> None:
         """Compute the cost-to-go again at the next update, from scratch: the car does not get on by this one."""
@@ -291,7 +291,7 @@ class GrowingCritic:
         """Return the newest plan's poses and motions for a margin (m), which are worked out once for each."""
         occupied = self._window.occupied
         clearance = self._window.clearance(np.zeros_like(occupied))
-        arena = Arena(occupied, clearance, self._corner, self._window.resolution)
+        arena = Arena(occupied, clearance, self._window.corner, self._window.resolution)
         counts = self._counts()
 
         @cache
