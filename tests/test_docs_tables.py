@@ -20,7 +20,7 @@ from vssm_gym.envs.sensors.registry import SENSORS
 from vssm_gym.envs.textures.registry import TEXTURES
 from vssm_gym.eval.benchmark import results
 from vssm_gym.eval.benchmark.manifest import read_manifest
-from vssm_gym.eval.benchmark.suite import SUITES, read_suite
+from vssm_gym.eval.benchmark.suite import SUITES, DrivingTrack, PredictionTrack, SlamTrack, read_suite
 from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.inference.registry import FILTERS
 from vssm_gym.planning.planners import PLANNERS
@@ -54,6 +54,11 @@ def named(text: str) -> set[str]:
 def test_every_sensor_stands_on_its_page():
     keywords = re.findall(r'`sensors=\["(\w+)"\]`', (DOCS / "sensors.md").read_text())
     assert sorted(set(keywords)) == sorted(SENSORS)
+
+
+def test_every_field_of_a_suites_track_stands_on_its_page():
+    fields = {name for track in (DrivingTrack, SlamTrack, PredictionTrack) for name in track.model_fields}
+    assert fields == named(section(DOCS / "benchmark.md", "A suite is a file"))
 
 
 def test_every_planner_stands_on_its_page():

@@ -134,10 +134,11 @@ def load_config(path: str | Path, scenes: Sequence[str] = (), agents: Sequence[s
 
 def _changed(config: SweepConfig, **change: tuple[str, ...]) -> SweepConfig:
     """Return the configuration with other values of a field."""
+    changed = config.model_dump() | change
     try:
-        return SweepConfig.model_validate(config.model_dump() | change)
+        return SweepConfig.model_validate(changed)
     except ValidationError as error:
-        raise first_problem(Path("sweep"), error, SweepConfig) from error
+        raise first_problem(Path("sweep"), error, SweepConfig, changed) from error
 
 
 def check_environments(config: SweepConfig, source: object) -> None:

@@ -191,5 +191,5 @@ def test_a_missing_library_is_one_line(vssm, tmp_path, monkeypatch):
     for form, library in (("minari", "minari"), ("lerobot", "pyarrow")):
         monkeypatch.setitem(sys.modules, library, None)
         code, _, err = vssm("dataset", "export", tmp_path / "walk", "--format", form, "--out", tmp_path / "d-v0")
-        expected = f"dataset: {library}: expected this library: pip install 'vssm-gym[datasets]'"
+        expected = f"dataset: {library}: expected this library: pip install -c constraints.txt '.[datasets]'"
         assert (code, err) == (main_module.BAD_INPUT, f"error: {expected}\n")

@@ -51,6 +51,8 @@ def test_the_time_left_counts_what_this_run_has_done(clock):
     """20 of 100 were there; 10 more took a minute, so 70 take seven."""
     stage = progress_module._Stage("episodes", 100.0, 20, 20, 100, "")
     assert stage.line(160.0) == "progress: running episodes: 20 of 100, 0:01:00"
+    stage.done = 29  # too few to tell: the first are slower, since they compile
+    assert stage.line(160.0) == "progress: running episodes: 29 of 100, 0:01:00"
     stage.done = 30
     assert stage.line(160.0) == "progress: running episodes: 30 of 100, 0:01:00, about 0:07:00 left"
 

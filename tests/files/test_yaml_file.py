@@ -1,9 +1,10 @@
 """Test that configurations in YAML become models, or one clear error."""
 
 from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from vssm_gym.errors import InputError
 from vssm_gym.files.yaml_file import Names, Seeds, read_yaml
@@ -48,3 +49,41 @@ def test_invalid_configurations_are_refused(tmp_path: Path, text: str | bytes) -
     with pytest.raises(InputError) as refused:
         read(tmp_path, text)
     assert len(str(refused.value)) < 1000 and str(tmp_path) in str(refused.value)
+
+
+class Part(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["a"]
+    seconds: float
+
+
+class Other(BaseModel):
+    kind: Literal["b"]
+
+
+class Whole(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    parts: dict[str, Annotated[Part | Other, Field(discriminator="kind")]]
+    seeds: Seeds = (0,)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "parts: {one: {kind: a, second: 1}}",
+            "parts.one.second: expected no such field here (did you mean 'seconds'?)",
+        ),
+        ("parts: {one: {kind: a}}", "parts.one.seconds: expected this field"),
+        ("parts: {one: {kind: b}}\nseeds: x", "seeds: expected a valid integer"),
+        ("parts: {}\nseed: 1", "seed: expected one of the fields parts, seeds (did you mean 'seeds'?)"),
+        ("parts: {}\nseeds: [1, x]", "seeds.1: expected a valid integer"),
+    ],
+)
+def test_an_error_names_the_field_as_the_file_has_it(tmp_path: Path, text: str, expected: str) -> None:
+    """Kinds of a union, and the list of one value, are no levels of the file; a misspelt field is no missing one."""
+    path = tmp_path / "whole.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as refused:
+        read_yaml(path, Whole)
+    assert expected in str(refused.value)

@@ -26,7 +26,7 @@ BASE = "name: a\nsteps: 10\nalgorithm: {name: ppo}\n"
         (BASE + "environment: {map: m.npz}\nfoo: 1\n", "foo: expected one of the fields name"),
         (BASE + "environment: {map: m.npz}\npolicy: {inputs: [scan]}\n", "'goal' among the inputs"),
         (BASE.replace("ppo", "dqn") + "environment: {map: m.npz}\n", "algorithm: expected"),
-        (BASE.replace("{name: ppo}", "{name: ppo, tau: 1}") + "environment: {map: m.npz}\n", "algorithm.ppo.tau"),
+        (BASE.replace("{name: ppo}", "{name: ppo, tau: 1}") + "environment: {map: m.npz}\n", "algorithm.tau"),
         (BASE.replace("ppo", "bc") + "environment: {id: vssm_gym/PointNav-v0, scene: oak}\n", "the expert plans"),
         (
             BASE + "environment: {id: vssm_gym/PointNavGPS-v0, scene: oak}\n",

@@ -6,7 +6,7 @@ from typing import Annotated, Any, TypeVar
 import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
 
-from vssm_gym.errors import InputError
+from vssm_gym.errors import InputError, did_you_mean
 from vssm_gym.files.bounded import read_text
 from vssm_gym.files.json_file import LARGEST_WHOLE
 
@@ -62,7 +62,7 @@ def read_yaml(path: Path, model: type[M]) -> M:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise first_problem(path, error, model) from error
+        raise first_problem(path, error, model, data) from error
 
 
 def _check_structure(path: Path, text: str) -> None:
@@ -76,14 +76,36 @@ def _check_structure(path: Path, text: str) -> None:
             raise InputError(path, "file", f"YAML nested at most {YAML_DEPTH} deep")
 
 
-def first_problem(path: Path, error: ValidationError, model: type[BaseModel]) -> InputError:
-    """Convert the first problem in a file of ``model`` to an :class:`InputError`."""
-    problem = error.errors()[0]
-    field = ".".join(str(part) for part in problem["loc"]) or "file"
+def first_problem(path: Path, error: ValidationError, model: type[BaseModel], data: Any) -> InputError:
+    """Convert the first problem of ``data``, from a file of ``model``, to an :class:`InputError`.
+
+    An unknown field comes before a missing one: it may be that one, misspelt.
+    """
+    problems = error.errors()
+    problem = next((one for one in problems if one["type"] == "extra_forbidden"), problems[0])
+    parts = _parts(problem["loc"], data)
+    field = ".".join(parts) or "file"
     if problem["type"] == "extra_forbidden":
-        return InputError(path, field, f"one of the fields {', '.join(model.model_fields)}")
+        absent = [str(one["loc"][-1]) for one in problems if one["loc"][:-1] == problem["loc"][:-1]]
+        known = list(model.model_fields) if len(parts) == 1 else [one for one in absent if one != parts[-1]]
+        expected = f"one of the fields {', '.join(known)}" if len(parts) == 1 else "no such field here"
+        return InputError(path, field, f"{expected}{did_you_mean(known, parts[-1])}")
     if problem["type"] == "missing":
         return InputError(path, field, "this field")
     if problem["type"] == "too_short":
         return InputError(path, field, f"at least {problem['ctx']['min_length']} value; found none")
     return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))
+
+
+def _parts(place: tuple[int | str, ...], data: Any) -> list[str]:
+    """Return the keys and indices of a place that the file has; pydantic's also names kinds, and items of no list."""
+    parts = []
+    for k, part in enumerate(place):
+        if isinstance(data, dict) and (part in data or k == len(place) - 1):
+            data = data.get(part)
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            continue
+        parts.append(str(part))
+    return parts

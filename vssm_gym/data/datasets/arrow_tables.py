@@ -20,7 +20,7 @@ def load_arrow(source: object) -> Any:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise InputError(source, "pyarrow", "this library: pip install 'vssm-gym[datasets]'") from error
+        raise InputError(source, "pyarrow", "this library: pip install -c constraints.txt '.[datasets]'") from error
     return pyarrow
 
 

@@ -21,7 +21,7 @@ from vssm_gym.errors import InputError
 
 EPISODE = "vssm_gym"  # the entry of an episode's metadata that it can be made again from, as JSON text
 VERSIONED = re.compile(r"[-_A-Za-z0-9]+-v[0-9]+")  # the ids that Minari takes
-REMEDY = "this library: pip install 'vssm-gym[datasets]'"
+REMEDY = "this library: pip install -c constraints.txt '.[datasets]'"
 LARGEST_ATTRIBUTE = 60_000  # bytes of an episode's metadata: HDF5 keeps less than 64 kB of it
 
 

@@ -31,7 +31,9 @@ def read_blackbird(path: str | Path) -> DynamicsLog:
     try:
         import h5py
     except ImportError as error:
-        raise InputError(path, "h5py", "this library to read HDF5: pip install 'vssm-gym[dynamics]'") from error
+        raise InputError(
+            path, "h5py", "this library to read HDF5: pip install -c constraints.txt '.[dynamics]'"
+        ) from error
     with open_file(path, "an HDF5 file of a Blackbird flight") as file:
         try:
             with h5py.File(file, "r") as stored:
