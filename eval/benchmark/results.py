@@ -136,11 +136,8 @@ def left_out(found: Sequence[Table], manifest: Manifest) -> list[str]:
 def without_references(found: Sequence[Table]) -> list[str]:
     """Return a notice of the tables that hold no committed run; none where all do."""
     names = [table.name for table in found if not any(place.reference for place in table.places)]
-    return (
-        [f"No run of the package's own entries is committed for {', '.join(names)} as this suite has it."]
-        if names
-        else []
-    )
+    without = f"No run of the package's own entries is committed for {', '.join(names)} as this suite has it."
+    return [without] if names else []
 
 
 def differing_content(suite: Suite, out: Path, references: Mapping[Path, Manifest]) -> list[str]:

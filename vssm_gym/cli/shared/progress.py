@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
 
 LOG_SECONDS = 15.0  # s between two lines of a log
-TIMED_FROM, TIMED_SHARE = 10, 0.2  # done, or of all: before, most of the time is that of what is compiled once
+TIMED_FROM, TIMED_SHARE = 10, 0.2  # units, or of all: before, most of the time goes into what is compiled once
 STAGES = {
     "recording": "driving and recording",
     "map": "building the map",
@@ -106,7 +106,8 @@ class _Stage:
         words = [f"{100.0 * self.done / self.total:.0f} %" if share else f"{self.done:,} of {self.total:,}"]
         words += [self.note] if self.note else []
         words.append(_clock(spent))
-        if done >= min(TIMED_FROM, TIMED_SHARE * (self.total - self.first)) and done > 0 and self.done < self.total:
+        enough = 0.0 if share else min(TIMED_FROM, TIMED_SHARE * (self.total - self.first))
+        if done > 0 and done >= enough and self.done < self.total:
             words.append(f"about {_clock(spent / done * (self.total - self.done))} left")
         return f"progress: {STAGES.get(self.name, self.name)}: {', '.join(words)}"
 
