@@ -85,7 +85,8 @@ def test_a_feature_that_is_not_finite_has_no_statistics(tmp_path):
 
 def test_a_missing_library_is_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r"x: pyarrow: expected this library: pip install 'vssm-gym\[datasets\]'"):
+    advice = r"x: pyarrow: expected this library: pip install -c constraints.txt '\.\[datasets\]'"
+    with pytest.raises(InputError, match=advice):
         arrow_tables.load_arrow("x")
     with pytest.raises(InputError, match="dataset: pyarrow: expected this library"):
         write(tmp_path / "d", drawn_episodes())

@@ -111,7 +111,8 @@ def test_an_episode_without_a_step_is_refused(tmp_path):
 
 def test_a_missing_library_is_one_sentence(monkeypatch):
     monkeypatch.setattr(minari_format.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"x: h5py: expected this library: pip install 'vssm-gym\[datasets\]'"):
+    advice = r"x: h5py: expected this library: pip install -c constraints.txt '\.\[datasets\]'"
+    with pytest.raises(InputError, match=advice):
         minari_format.load_minari("x")
 
 
