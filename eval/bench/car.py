@@ -211,7 +211,7 @@ def rate_rows(scene: str, physics: str, seed: int) -> list[Row]:
     """Measure steps a second of the environment, with and without images, under random commands."""
     rows = []
     for images in (False, True):
-        env = gym.make("vssm_gym/CarNav-v0", scene=scene, physics=physics, images=images)
+        env = gym.make("vssm_gym/CarNav-v1", scene=scene, physics=physics, images=images, end_on="reach")
         env.reset(seed=seed)
         low, high = env.action_space.low, env.action_space.high  # type: ignore[attr-defined]
         rng = np.random.default_rng(seed)

@@ -34,7 +34,7 @@ class Place:
         line: of the entry.
         entrant: the entry.
         rank: from 1, the same for equal scores with as many faults; None of an entry that is not ranked, because it is
-            given the true pose where others estimate it, or has no score yet.
+            given the true pose where others estimate it, has no score yet, or failed by its own fault in every run.
         reference: whether it is of the committed references.
         steady: whether no more processes ran or waited than there are cores when its run began, or went on: times are
             its own.
@@ -167,8 +167,10 @@ def _placed(lines: Sequence[tuple[Line, Entrant, bool, bool]], track: Track) -> 
     """Rank lines by their score, of equal ones by their faults; those that do not count stand after the others."""
     sign = -1.0 if score_of(track).direction == "higher" else 1.0
     apart = isinstance(track, DrivingTrack) and track.pose == "estimated"
-    unranked = lambda found, entrant: np.isnan(found.score.mean) or (apart and entrant.needs_pose)
-    worth = lambda found: (sign * found.score.mean, sum(found.faults.values()))
+    faults = lambda found: sum(found.faults.values())
+    useless = lambda found: np.isnan(found.score.mean) or faults(found) >= found.episodes
+    unranked = lambda found, entrant: useless(found) or (apart and entrant.needs_pose)
+    worth = lambda found: (sign * found.score.mean, faults(found))
     order = sorted(lines, key=lambda one: (unranked(*one[:2]), *worth(one[0])))
     values, places = [worth(one[0]) for one in order], []
     for found, entrant, reference, steady in order:

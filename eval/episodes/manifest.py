@@ -27,7 +27,9 @@ def read_manifest(path: Path) -> dict[str, Any]:
         InputError: no such file, no JSON, or a field that is missing.
     """
     if not path.is_file():
-        raise InputError(path, "file", "a sweep's folder; `vssm-gym sweep CONFIG --out DIR` makes one")
+        found = sorted(child.parent.name for child in path.parent.glob(f"*/{path.name}"))
+        those = f"; those of {path.parent} are {', '.join(found)}" if found else ""
+        raise InputError(path, "file", f"a sweep's folder{those or '; `vssm-gym sweep CONFIG --out DIR` makes one'}")
     manifest = read_json(path, expected="the JSON that a sweep wrote")
     if not isinstance(manifest, dict):
         raise InputError(path, "file", f"the JSON that a sweep wrote; found {manifest!r:.80}")

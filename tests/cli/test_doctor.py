@@ -19,7 +19,7 @@ def test_doctor_reports_and_fails_only_for_what_is_required(vssm, monkeypatch):
     monkeypatch.setattr(doctor_module, "PROBES", (works, optional))
     code, out, _ = vssm("doctor")
     assert code == 0
-    assert "is installed, but does not work here" in out and "no display" not in out
+    assert "does not work here" in out and "no display" not in out
     assert "-> a monitor" in out
 
     monkeypatch.setattr(doctor_module, "PROBES", (works, absent))
@@ -46,7 +46,7 @@ def test_doctor_shows_no_text_of_an_exception(vssm, monkeypatch, code):
     _, out, _ = vssm("doctor")
     lines = out.splitlines()
     (i,) = (i for i, line in enumerate(lines) if "a thing" in line)
-    assert re.fullmatch(r"absent +a thing +is (not installed|installed, but does not work here) *", lines[i])
+    assert re.fullmatch(r"absent +a thing +(is not installed|does not work here) *", lines[i])
     assert lines[i + 1].strip() == "-> get it"
     assert not re.search(r"Error|Traceback|Exception", out)
 
@@ -86,7 +86,7 @@ def test_doctor_without_an_installed_distribution_says_so(monkeypatch):
 def test_a_probe_survives_a_crash_and_a_hang(monkeypatch):
     crash = run_probe(Probe("crash", "import os; os.abort()", ""))
     assert not crash.ok
-    assert crash.detail == "is installed, but does not work here"
+    assert crash.detail == "does not work here"
     monkeypatch.setattr(doctor_module, "TIMEOUT", 0.2)
     hang = run_probe(Probe("hang", "import time; time.sleep(30)", ""))
     assert not hang.ok

@@ -136,7 +136,7 @@ def _reason(detail: str) -> str:
     """Say why a probe failed, from the last line that it wrote."""
     if detail.startswith("no answer in"):
         return detail
-    return "is not installed" if detail.startswith("ModuleNotFoundError:") else "is installed, but does not work here"
+    return "is not installed" if detail.startswith("ModuleNotFoundError:") else "does not work here"
 
 
 def _python() -> Finding:

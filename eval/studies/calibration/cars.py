@@ -47,7 +47,13 @@ def car_drives(
             continue
         agent, voxel_map = HybridAStarAgent(), map_of(scene)
         env = gym.make(
-            "vssm_gym/CarNav-v0", scene=scene, noise=noise, observe_pose=True, reward="sparse", disable_env_checker=True
+            "vssm_gym/CarNav-v1",
+            scene=scene,
+            noise=noise,
+            end_on="reach",
+            observe_pose=True,
+            reward="sparse",
+            disable_env_checker=True,
         )
         try:
             found = 0

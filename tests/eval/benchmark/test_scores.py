@@ -102,10 +102,18 @@ def test_ranks_follow_the_better_direction_and_leave_out_what_is_given_the_pose(
 def test_equal_scores_share_a_rank_unless_one_has_faults():
     slam = lambda label: Entrant(label=label, kind="slam", tracks=("slam",))
     (still,), (far,) = units(0.3), units(0.4)
-    rows = {"still": [still], "same": [still], "broken": [still | {"fault": "it broke"}], "far": [far]}
-    lines = [(line(n, of, SCORES["ate"], 1), slam(n), False, True) for n, of in reversed(rows.items())]
+    broken = still | {"fault": "it broke"}
+    rows = {
+        "still": [still] * 2,
+        "same": [still] * 2,
+        "broken": [still, broken],
+        "far": [far] * 2,
+        "never": [broken] * 2,
+    }
+    lines = [(line(n, of, SCORES["ate"], 2), slam(n), False, True) for n, of in reversed(rows.items())]
     placed = {place.line.entry: place.rank for place in _placed(lines, SLAM)}
-    assert placed == {"still": 1, "same": 1, "broken": 3, "far": 4}
+    assert placed == {"still": 1, "same": 1, "broken": 3, "far": 4, "never": None}  # one that never ran has no rank
+    assert _placed(lines, SLAM)[-1].line.entry == "never"
 
 
 def test_recordings_that_were_not_run_leave_an_entry_without_a_score_and_drives_are_worth_knowing_nothing():

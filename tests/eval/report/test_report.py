@@ -198,8 +198,15 @@ def test_a_folder_without_results_is_refused_and_the_old_report_kept(sweep_folde
 
 
 def test_a_folder_that_is_no_sweep_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"sweep\.json"):
+    with pytest.raises(InputError, match=r"sweep\.json: file: expected a sweep's folder; `vssm-gym sweep"):
         write_report(tmp_path)
+    for track in ("navigation", "car"):
+        (tmp_path / track).mkdir()
+        (tmp_path / track / "sweep.json").touch()
+    with pytest.raises(
+        InputError, match=rf"a sweep's folder; those of {re.escape(str(tmp_path))} are car, navigation$"
+    ):
+        write_report(tmp_path)  # of a benchmark
 
 
 def test_rare_failures_are_drawn_first():
