@@ -27,10 +27,12 @@ from vssm_gym.version import package_version
 from vssm_gym.viz.mesh import surface_mesh
 from vssm_gym.viz.mesh_picture import mesh_picture
 
-MANIFEST = "explore.json"
+MANIFEST, MESH = "explore.json", "mesh.png"
 
 
-def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = None) -> dict[str, Any]:
+def explore(
+    config: SweepConfig, out: Path, video: bool = True, on_progress: OnProgress | None = None
+) -> dict[str, Any]:
     """Run the one episode of ``config`` and write the folder ``out``: map and pictures first, the video last.
 
     A run that is interrupted in its video leaves what it has written; the same run may use the folder again.
@@ -38,6 +40,7 @@ def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = Non
     Args:
         config: of Explore, with one scene, one agent, one value of each condition, one task and one seed.
         out: new or empty folder, or that of an unfinished run of ``config``; see ``vssm-gym explore --help``.
+        video: False where no video can be written.
         on_progress: called with ("exploring" | "video", done, total).
 
     Returns:
@@ -51,12 +54,12 @@ def explore(config: SweepConfig, out: Path, on_progress: OnProgress | None = Non
     apartment, version = load_scene(episode.condition.scene), package_version()
     hashed = config_hash(config, {episode.condition.scene: apartment.content_hash()}, 0)
     content = {"config": config.model_dump(mode="json"), "config_hash": hashed, "version": version}
-    with owned_folder(out, Owner("exploration", MANIFEST, content, finished=VIDEO)):
-        return _explore(episode, apartment, out, hashed, on_progress)
+    with owned_folder(out, Owner("exploration", MANIFEST, content, finished=VIDEO if video else MESH)):
+        return _explore(episode, apartment, out, hashed, video, on_progress)
 
 
 def _explore(
-    episode: Episode, apartment: Apartment, out: Path, hashed: str, on_progress: OnProgress | None
+    episode: Episode, apartment: Apartment, out: Path, hashed: str, video: bool, on_progress: OnProgress | None
 ) -> dict[str, Any]:
     """Do the work of :func:`explore` in a folder that it owns."""
     agent = make_agent(episode.agent)
@@ -85,8 +88,9 @@ def _explore(
     if choice is not None:
         write_picture(out / "candidates.png", pictures.candidates(choice, recording))
     write_picture(out / PICTURE, pictures.run(recording, explored, row))
-    with atomic_write(out / "mesh.png") as temporary:
+    with atomic_write(out / MESH) as temporary:
         Image.fromarray(mesh_picture(surface_mesh(explored))).save(temporary, format="PNG")
-    title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
-    write_video(out / VIDEO, recording, title, on_progress)
+    if video:
+        title = f"{row['agent']} explores {scene_name(episode.condition.scene)}"
+        write_video(out / VIDEO, recording, title, on_progress)
     return row

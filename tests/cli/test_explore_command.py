@@ -72,8 +72,9 @@ def test_bad_arguments_are_refused_in_one_line(vssm, tmp_path, options, said):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
-    known = importlib.import_module
+@pytest.mark.slow
+def test_without_a_writer_of_videos_the_run_has_all_but_its_video(vssm, tmp_path, monkeypatch):
+    known, out = importlib.import_module, tmp_path / "new"
 
     def missing(name, *more):
         if name == "imageio_ffmpeg":
@@ -81,10 +82,14 @@ def test_without_a_writer_of_videos_nothing_runs(vssm, tmp_path, monkeypatch):
         return known(name, *more)
 
     monkeypatch.setattr("vssm_gym.eval.video.writer.importlib.import_module", missing)
-    code, _, err = vssm("explore", "--scene", "fern", "--out", tmp_path / "new")
-    assert (code, err.count("\n")) == (2, 1)
+    asked = ("explore", "--scene", "procedural:10000:small", "--agent", "random_walk", "--out", out, "--steps", 2)
+    code, printed, err = vssm(*asked)
+    assert code == 0 and str(out / "mesh.png") in printed and "run.mp4" not in printed
+    assert "no video of the run: explore: video: expected imageio-ffmpeg" in err
     assert "pip install -c constraints.txt '.[viz]'" in err
-    assert list(tmp_path.iterdir()) == []
+    assert {path.name for path in out.iterdir()} == {"explore.json", "run.png", "mesh.png", "map.npz", "run.json"}
+    code, _, err = vssm(*asked)
+    assert code == 2 and "never overwritten" in err
 
 
 def test_a_plan_keeps_its_place_in_a_larger_picture():

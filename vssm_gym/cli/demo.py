@@ -38,17 +38,11 @@ def show_run(out: Path) -> None:
     """Drive one task in the demo's map and print the files of the run; a run that has ended is left as it is."""
     from vssm_gym.agents.registry import agent_type
     from vssm_gym.cli.shared.progress import progress_bars
-    from vssm_gym.errors import InputError
+    from vssm_gym.cli.shared.videos import can_write_videos
     from vssm_gym.eval.video.navigator_run import Drive, finished_by, navigate, prepare
     from vssm_gym.eval.video.run_files import PICTURE
-    from vssm_gym.eval.video.writer import check_writer
 
-    video = True
-    try:
-        check_writer("demo")
-    except InputError as error:
-        video = False
-        say(f"no video of a run: {error}")
+    video = can_write_videos("demo")
     folder, last = out / RUN, finished_by(video)
     if not (folder / last).exists():
         map_file = out / "maps" / "oak.npz" if agent_type(AGENT).needs_map else None

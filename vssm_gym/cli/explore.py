@@ -21,9 +21,9 @@ def explore(
 ) -> None:
     """Let an explorer map an unknown scene, and show the run.
 
-    OUT gets run.mp4 (its images, belief and plans), candidates.png (one choice among candidates, coloured by expected
-    information, for agents that choose so), run.png (its path by time), mesh.png (its map from above), map.npz (for
-    `vssm-gym map export`) and run.json (the row of a sweep). Videos need the extra `viz`.
+    OUT gets candidates.png (one choice among candidates, coloured by expected information, for agents that choose so),
+    run.png (its path by time), mesh.png (its map from above), map.npz (for `vssm-gym map export`), run.json (the row of
+    a sweep) and, with the extra `viz`, run.mp4 (its images, belief and plans).
 
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
@@ -37,11 +37,11 @@ def explore(
     """
     from vssm_gym.cli.shared.console import print_notices
     from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.cli.shared.videos import can_write_videos
     from vssm_gym.errors import InputError
     from vssm_gym.eval.episodes.identity import ExploreSettings
     from vssm_gym.eval.sweep.config import OF_ONE, SweepConfig, check_names
     from vssm_gym.eval.video.explorer_run import explore as run
-    from vssm_gym.eval.video.writer import check_writer
     from vssm_gym.files.output_folders import check_at_least, check_folder
 
     for field, value, least in (("start", start, 0), ("steps", steps, 1), ("seed", seed, 0)):
@@ -59,10 +59,10 @@ def explore(
     )
     check_names(config, "explore", OF_ONE)
     check_folder(out)
-    check_writer("explore")
+    video = can_write_videos("explore")
     print_notices([scene])
     with progress_bars() as progress:
-        row = run(config, out, progress)
+        row = run(config, out, video, progress)
     covered = f"{100.0 * row['coverage']:.1f} % covered after {row['path_length']:.1f} m, {row['seconds']:.0f} s"
     say(f"{covered}: {row['status'] if row['stopped'] else 'time limit reached'}")
     say(*(out / name for name in FILES if (out / name).exists()))

@@ -33,9 +33,9 @@ def navigate(
 ) -> None:
     """Drive one navigation task, in a given map or in an unknown scene, and show the run.
 
-    OUT gets run.mp4 (its images; the belief with the driven and the planned path, the goal and the pose estimate),
-    run.png (the run on the map), run.json (the row of a sweep) and, of an agent that maps, map.npz (for `vssm-gym map
-    export`). Videos need the extra `viz`.
+    OUT gets run.png (the run on the map), run.json (the row of a sweep), of an agent that maps map.npz (for `vssm-gym
+    map export`) and, with the extra `viz`, run.mp4 (its images; the belief with the driven and the planned path, the
+    goal and the pose estimate).
 
     Args:
         scene: built-in name (oak), procedural:SEED or path of a scene file.
@@ -56,10 +56,10 @@ def navigate(
     from vssm_gym.cli.shared.arguments import parse_numbers
     from vssm_gym.cli.shared.console import print_notices
     from vssm_gym.cli.shared.progress import progress_bars
+    from vssm_gym.cli.shared.videos import can_write_videos
     from vssm_gym.errors import InputError
     from vssm_gym.eval.video.navigator_run import Drive, prepare
     from vssm_gym.eval.video.navigator_run import navigate as run
-    from vssm_gym.eval.video.writer import check_writer
     from vssm_gym.files.output_folders import check_folder
 
     to, at = None if goal is None else parse_goal(goal), None
@@ -81,13 +81,12 @@ def navigate(
         task=task,
     )
     check_folder(out)
-    check_writer("navigate")
-    prepared = prepare(drive)
+    prepared, video = prepare(drive), can_write_videos("navigate")
     print_notices([scene])
     if prepared.notice:
         say(f"warning: {prepared.notice}", error=True)
     with progress_bars() as progress:
-        row = run(prepared, out, on_progress=progress)
+        row = run(prepared, out, video, progress)
     say(summary(row))
     say(*(out / name for name in FILES if (out / name).exists()))
     if (out / MAP).exists():
