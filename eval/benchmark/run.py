@@ -60,7 +60,7 @@ def run_benchmark(
         out: new or empty folder, or with ``resume`` that of the same suite and entries.
         tracks: names of the tracks to run; empty: all that an entry is for.
         resume: continue.
-        workers: processes of agents' episodes.
+        workers: number of processes that run episodes, recordings and drives.
         on_progress: as of sweeps, and with ("runs", done, total).
 
     Raises:
@@ -140,7 +140,7 @@ def _run_track(
             for entry in entries
             for one, path in recordings.items()
         ]
-        run_units(runs, run_recording, standing_still, folder, on_progress)
+        run_units(runs, run_recording, standing_still, folder, workers, on_progress)
     elif isinstance(track, PredictionTrack):
         drives = [
             PredictionUnit(entry.label, entry.reference, scene, k, track.drives, track.seed, map_file, track.seconds)
@@ -149,7 +149,7 @@ def _run_track(
             for entry in entries
             for k in range(track.drives)
         ]
-        run_units(drives, run_drive, lambda _: UNINFORMED, folder, on_progress)
+        run_units(drives, run_drive, lambda _: UNINFORMED, folder, workers, on_progress)
     else:
         _drive(track, beside, entries, folder, workers, on_progress)
 

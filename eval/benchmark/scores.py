@@ -25,6 +25,7 @@ from vssm_gym.eval.metrics.metric import Row
 from vssm_gym.eval.metrics.registry import METRICS
 from vssm_gym.geometry.car import Car
 
+ORDER = ("scene_hash", "task", "noise", "sensor_noise", "physics", "seed")  # of the rows of an entry
 COVERAGE_STEP = 1.0  # s between the points at which a run's coverage is averaged
 NOT_RUN = "not run yet: --resume runs it"
 
@@ -107,6 +108,7 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         episodes: how many the suite has.
     """
     left = episodes - len(rows)
+    rows = sorted(rows, key=_place)  # they are kept as they ended, and resamples depend on their order
     values = [score.function(row) for row in rows]
     units: list[Hashable] = [_cluster(row) for row in rows]
     if len(set(units)) == 1:
@@ -132,6 +134,11 @@ def line(entry: str, rows: Sequence[dict[str, Any]], score: Score, episodes: int
         faults=dict(faults),
         versions=tuple(dict.fromkeys(str(row.get("version")) for row in rows)),
     )
+
+
+def _place(row: Row) -> tuple[str, ...]:
+    """Return what rows are ordered by."""
+    return (row["unit"],) if "unit" in row else tuple(str(row.get(field)) for field in ORDER)
 
 
 def _cluster(row: Row) -> Hashable:

@@ -66,6 +66,12 @@ def test_an_entry_without_any_row_has_the_worst_score():
     assert (found.score.mean, found.success, found.p95, found.faults) == (0.0, 0.0, None, {NOT_RUN: 3})
 
 
+def test_the_order_of_rows_changes_no_interval():
+    rows = [driven(k, path_length=4.0 + k * k) for k in range(12)]
+    found = [line("mine", rows[::step], SCORES["spl"], 12) for step in (1, -1)]
+    assert found[0] == found[1]
+
+
 def test_starts_in_one_home_are_not_independent():
     rows = [driven(k, curve={}, scene_hash="ab"[k // 4], success=k < 4) for k in range(8)]
     assert line("mine", rows, SCORES["spl"], 8).score.tasks == 2

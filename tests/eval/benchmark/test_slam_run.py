@@ -1,7 +1,9 @@
 """Test the SLAM track on a short walk: the true poses have no error, and faults are worth standing still."""
 
+import os
 import sys
 import time
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
@@ -160,7 +162,9 @@ class Broken:
     _processes = None
 
     def submit(self, run, unit):
-        raise BrokenProcessPool
+        future = Future()
+        future.set_exception(BrokenProcessPool())
+        return future
 
     def shutdown(self, **_):
         """End."""
@@ -181,6 +185,55 @@ def test_a_signal_that_ends_the_process_first_is_no_fault(tmp_path, monkeypatch)
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
     [row] = units.read_rows(run(), units.UnitRow)
     assert row["fault"] == DEAD
+
+
+def score(unit):
+    """Score a unit by its number, and say which process did."""
+    measured = {"process": float(os.getpid())}
+    return {
+        "score": float(unit.entry),
+        "success": True,
+        "fault": None,
+        "p95": None,
+        "measured": measured,
+        "content": None,
+    }
+
+
+@pytest.mark.slow
+def test_processes_share_the_units(tmp_path):
+    recording = Recording(scene="oak", motion="handheld", length=1.0)
+    runs = [SlamUnit(str(k), "mine", recording, tmp_path, seconds=5.0) for k in range(6)]
+    rows = units.read_rows(units.run_units(runs, score, lambda _: 9.0, tmp_path / "slam", 2), units.UnitRow)
+    assert sorted((row["entry"], row["score"]) for row in rows) == [(str(k), float(k)) for k in range(6)]
+    assert len({row["measured"]["process"] for row in rows}) == 2
+
+
+class Mortal:
+    """Be a pool whose process dies after its first unit."""
+
+    _processes = None
+
+    def __init__(self):
+        self.used = False
+
+    def submit(self, run, unit):
+        if self.used:
+            raise BrokenProcessPool
+        self.used, future = True, Future()
+        future.set_result(run(unit))
+        return future
+
+    def shutdown(self, **_):
+        """End."""
+
+
+def test_a_process_that_dies_between_two_units_costs_neither(tmp_path, monkeypatch):
+    monkeypatch.setattr(units, "_pool", Mortal)
+    recording = Recording(scene="oak", motion="handheld", length=1.0)
+    runs = [SlamUnit(str(k), "mine", recording, tmp_path, seconds=5.0) for k in (1, 2)]
+    rows = units.read_rows(units.run_units(runs, score, lambda _: 9.0, tmp_path / "slam"), units.UnitRow)
+    assert [(row["entry"], row["fault"]) for row in rows] == [("1", None), ("2", None)]
 
 
 @pytest.mark.slow

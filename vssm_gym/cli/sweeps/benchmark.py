@@ -32,7 +32,7 @@ def benchmark(
         out: new or empty folder for the results.
         tracks: run these tracks alone.
         resume: continue the benchmark of the same suite and entries in OUT.
-        workers: number of processes that run agents' episodes.
+        workers: number of processes that run episodes, recordings and drives.
     """
     from vssm_gym.cli.shared.progress import progress_bars
     from vssm_gym.eval.benchmark.run import run_benchmark
