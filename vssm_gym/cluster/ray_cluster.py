@@ -27,7 +27,9 @@ from vssm_gym.cluster.installed import check_same, installed
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
-AHEAD = 2  # calls that Ray holds for each CPU: where one ends, the next one is there and waits for no answer of ours
+CALLS_A_CPU = (
+    2  # calls that Ray holds for each CPU: where one ends, the next one is there and waits for no answer of ours
+)
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
 REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
 FILES = "vssm_gym"  # folder in that of Ray's session
@@ -115,7 +117,7 @@ class Calls:
 
     Args:
         cluster: that this process is connected to.
-        most: calls at a time; where the cluster has no more CPUs than that, Ray holds ``AHEAD`` for each of them.
+        most: calls at a time; where the cluster has no more CPUs than that, Ray holds ``CALLS_A_CPU`` for each of them.
         number: calls of one number share their processes; None: the next number, whose memory is that of no others.
     """
 
@@ -127,7 +129,7 @@ class Calls:
         self._folder = f"{ray.get_runtime_context().get_job_id()}-{number}"
         self._environment = {"env_vars": {**cluster.variables, "VSSM_GYM_CALLS": self._folder}}
         self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=self._environment)(_call)
-        held = most if most < cluster.cpus else AHEAD * most  # Ray itself runs one on each CPU
+        held = most if most < cluster.cpus else CALLS_A_CPU * most  # Ray itself runs one on each CPU
         self._threads = ThreadPoolExecutor(held, thread_name_prefix="ray-call")
         self._lock, self._running, self._shared = threading.Lock(), set[Any](), dict[str, SharedFile]()
 
@@ -163,7 +165,7 @@ class Calls:
         return found
 
     def stop(self) -> None:
-        """Hand no further call to Ray; those that it holds, ``AHEAD`` for each CPU, are run."""
+        """Hand no further call to Ray; those that it holds, ``CALLS_A_CPU`` for each CPU, are run."""
         self._threads.shutdown(wait=False, cancel_futures=True)
 
     def interrupt(self) -> None:
