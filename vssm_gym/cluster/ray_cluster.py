@@ -27,9 +27,7 @@ from vssm_gym.cluster.installed import check_same, installed
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
-CALLS_A_CPU = (
-    2  # calls that Ray holds for each CPU: where one ends, the next one is there and waits for no answer of ours
-)
+CALLS_A_CPU = 2  # that Ray holds: where one ends, the next one is there and waits for no answer of ours
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
 REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
 FILES = "vssm_gym"  # folder in that of Ray's session
