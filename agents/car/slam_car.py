@@ -201,7 +201,7 @@ class SlamCarAgent:
         if response is not Response.DRIVE or aim is None:
             return self._brake(f"brakes: {why}")
         self._progress.drove()
-        if (led := self._leader.step(at.planar, self._own.plan(), self._critic.lead)) is not None:
+        if (led := self._leader.step(at.planar, self._own.plan, self._critic.lead)) is not None:
             self._mpc.begin(led)
             return CarCommand(led, "is led along its route")
         step = self._mpc.step(at.planar, aim, self._critic.clearance())

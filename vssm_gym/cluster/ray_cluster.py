@@ -28,6 +28,7 @@ from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
 CALLS_A_CPU = 2  # that Ray holds: where one ends, the next one is there and waits for no answer of ours
+LEASE_SECONDS = 20.0  # s that a worker is kept for the next calls; Ray has 0.5, and to find a free one again takes 0.1
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
 REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
 FILES = "vssm_gym"  # folder in that of Ray's session
@@ -243,7 +244,8 @@ def connected(address: str, variables: Mapping[str, str]) -> Iterator[Cluster]:
     check_address(address)
     if importlib.util.find_spec("ray") is None:
         raise InputError("--ray", "ray", 'the extra "cluster": pip install -c constraints.txt ".[cluster]"')
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent; read at the import
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent; both are read at the import
+    os.environ.setdefault("RAY_worker_lease_timeout_milliseconds", f"{LEASE_SECONDS * 1000:.0f}")
     import ray
 
     mine = not ray.is_initialized()

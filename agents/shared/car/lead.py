@@ -70,20 +70,20 @@ class Leader:
         self._lead = None
 
     def step(
-        self, planar: np.ndarray, plan: FloorPlan, route: Callable[[np.ndarray], np.ndarray | None]
+        self, planar: np.ndarray, plan: Callable[[], FloorPlan], route: Callable[[np.ndarray], np.ndarray | None]
     ) -> np.ndarray | None:
         """Return the command ``(speed, steering)``; None for a car that is not led, or whose way is not free.
 
         Args:
             planar: ``(3,)`` where the car is, m and rad.
-            plan: as it is known now.
+            plan: reads it as it is known now; only for a car that is led.
             route: returns the poses to be driven from a pose on, or None.
         """
         if self._due:
             poses, self._due = route(planar), False
             self._lead = None if poses is None else Lead(poses, self._car)
         command = None if self._lead is None else self._lead.step(planar)
-        if command is None or self._blocked(planar, plan, command):
+        if command is None or self._blocked(planar, plan(), command):
             self._lead = None
             return None
         return command

@@ -1,5 +1,6 @@
 """Test that a car is led along routes: arcs join poses, and the path is followed to its end."""
 
+from functools import partial
 from itertools import pairwise
 
 import hypothesis.strategies as st
@@ -84,7 +85,7 @@ def plan(*occupied: tuple[float, float]) -> FloorPlan:
 
 def test_a_car_is_led_where_it_hesitates_and_where_its_plan_leads_nowhere_twice():
     leader, at = Leader(CAR), ROUTE[0]
-    commanded = lambda: leader.step(at, plan(), lambda planar: ROUTE) is not None
+    commanded = lambda: leader.step(at, plan, lambda planar: ROUTE) is not None
     leader.failed(Failure.UNSEEN, hesitates=False)
     assert not commanded()
     leader.failed(Failure.UNSEEN, hesitates=True)
@@ -99,11 +100,17 @@ def test_a_car_is_led_where_it_hesitates_and_where_its_plan_leads_nowhere_twice(
     assert not commanded()
 
 
+def test_a_car_that_is_not_led_reads_no_floor_plan():
+    asked = []
+    assert Leader(CAR).step(ROUTE[0], lambda: asked.append(1) or plan(), lambda planar: ROUTE) is None
+    assert not asked
+
+
 def test_a_car_without_a_route_is_not_led():
     leader = Leader(CAR)
     leader.failed(Failure.UNSEEN, hesitates=True)
-    assert leader.step(ROUTE[0], plan(), lambda planar: None) is None
-    assert leader.step(ROUTE[0], plan(), lambda planar: ROUTE) is None  # it is asked for once
+    assert leader.step(ROUTE[0], plan, lambda planar: None) is None
+    assert leader.step(ROUTE[0], plan, lambda planar: ROUTE) is None  # it is asked for once
 
 
 def test_an_obstacle_ahead_ends_the_lead_and_one_under_the_car_does_not():
@@ -111,8 +118,8 @@ def test_an_obstacle_ahead_ends_the_lead_and_one_under_the_car_does_not():
     for occupied, led in [((nose + 0.03, 0.0), False), ((nose + 0.3, 0.0), True), ((0.1, 0.0), True)]:
         leader = Leader(CAR)
         leader.failed(Failure.UNSEEN, hesitates=True)
-        assert (leader.step(ROUTE[0], plan(occupied), lambda planar: ROUTE) is not None) == led
+        assert (leader.step(ROUTE[0], partial(plan, occupied), lambda planar: ROUTE) is not None) == led
     leader = Leader(CAR)
     leader.failed(Failure.UNSEEN, hesitates=True)
     both = plan((0.1, 0.0), (nose + 0.03, 0.0))
-    assert leader.step(ROUTE[0], both, lambda planar: ROUTE) is None
+    assert leader.step(ROUTE[0], lambda: both, lambda planar: ROUTE) is None
