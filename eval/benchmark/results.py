@@ -33,8 +33,9 @@ class Place:
     Attributes:
         line: of the entry.
         entrant: the entry.
-        rank: from 1, the same for equal scores with as many faults; None of an entry that is not ranked, because it is
-            given the true pose where others estimate it, has no score yet, or failed by its own fault in every run.
+        rank: from 1, the same for scores that the table shows alike, with as many faults; None of an entry that is not
+            ranked, because it is given the true pose where others estimate it, has no score yet, or failed by its own
+            fault in every run.
         reference: whether it is of the committed references.
         steady: whether no more processes ran or waited than there are cores when its run began, or went on: times are
             its own.
@@ -164,13 +165,17 @@ def _contents(path: Path) -> dict[str, set[str]]:
 
 
 def _placed(lines: Sequence[tuple[Line, Entrant, bool, bool]], track: Track) -> tuple[Place, ...]:
-    """Rank lines by their score, of equal ones by their faults; those that do not count stand after the others."""
-    sign = -1.0 if score_of(track).direction == "higher" else 1.0
+    """Rank lines by their score as the table shows it, of equal ones by their faults; what does not count stands last.
+
+    Committed rows are rounded: beyond the digits of the table, the same run would not be worth the same.
+    """
+    score = score_of(track)
+    sign = -1.0 if score.direction == "higher" else 1.0
     apart = isinstance(track, DrivingTrack) and track.pose == "estimated"
     faults = lambda found: sum(found.faults.values())
     useless = lambda found: np.isnan(found.score.mean) or faults(found) >= found.episodes
     unranked = lambda found, entrant: useless(found) or (apart and entrant.needs_pose)
-    worth = lambda found: (sign * found.score.mean, faults(found))
+    worth = lambda found: (sign * round(found.score.mean, score.digits), faults(found))
     order = sorted(lines, key=lambda one: (unranked(*one[:2]), *worth(one[0])))
     values, places = [worth(one[0]) for one in order], []
     for found, entrant, reference, steady in order:

@@ -122,6 +122,13 @@ def test_equal_scores_share_a_rank_unless_one_has_faults():
     assert _placed(lines, SLAM)[-1].line.entry == "never"
 
 
+def test_a_run_shares_the_rank_of_its_own_committed_rows_which_are_rounded():
+    slam = Entrant(label="prism", kind="slam", tracks=("slam",))
+    rows = [(units(0.0261987654, 0.3), False), (units(0.0261988, 0.3), True), (units(0.03, 0.3), True)]
+    placed = _placed([(line("prism", of, SCORES["ate"], 2), slam, committed, True) for of, committed in rows], SLAM)
+    assert [place.rank for place in placed] == [1, 1, 3]
+
+
 def test_recordings_that_were_not_run_leave_an_entry_without_a_score_and_drives_are_worth_knowing_nothing():
     found = line("mine", units(0.1), SCORES["ate"], 3)
     assert np.isnan([found.score.mean, found.score.low, found.score.high]).all()
