@@ -31,6 +31,7 @@ class Part(StrictModel):
     version: str
     machine: dict[str, Any]
     load: float | None = None  # processes that ran or waited when it began: times on a busy machine are longer
+    workers: int | None = None  # processes of its own; None in files of versions that did not state it
 
 
 class Manifest(StrictModel):
@@ -43,12 +44,14 @@ class Manifest(StrictModel):
     version: str
     machine: dict[str, Any]
     load: float | None = None
+    workers: int | None = None
     resumed: tuple[Part, ...] = ()  # that have run what the one before has left
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """Return all parts, the first one first."""
-        return Part(version=self.version, machine=self.machine, load=self.load), *self.resumed
+        first = Part(version=self.version, machine=self.machine, load=self.load, workers=self.workers)
+        return first, *self.resumed
 
 
 def read_manifest(folder: Path) -> Manifest:

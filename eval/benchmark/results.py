@@ -113,8 +113,9 @@ def _lines(name: str, track: Track, folder: Path, manifest: Manifest) -> list[tu
 
 
 def _steady(manifest: Manifest) -> bool:
-    """Return whether the machines of a run had a core for each of their processes when its parts began."""
-    return all(part.load is not None and part.load < (part.machine["cores"] or 0) for part in manifest.parts)
+    """Return whether the machines of a run had a core for each process, of others and of its own, in all its parts."""
+    busy = lambda part: np.inf if part.load is None else max(part.load + 1, part.workers or 0)
+    return all(busy(part) <= (part.machine["cores"] or 0) for part in manifest.parts)
 
 
 def unfinished(suite: Suite, out: Path, names: Iterable[str]) -> bool:

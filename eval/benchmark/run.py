@@ -88,6 +88,7 @@ def run_benchmark(
         version=package_version(),
         machine=machine(),
         load=load(),
+        workers=workers,
     )
     content = manifest.model_dump(mode="json")
     owner = Owner("benchmark", MANIFEST, content, identity=("suite_hash", "entries"), resumed=tuple(suite.tracks))

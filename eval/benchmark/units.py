@@ -16,6 +16,7 @@ from vssm_gym.envs.validation import StrictModel
 from vssm_gym.errors import InputError, OutputError
 from vssm_gym.eval.studies.row_file import read_rows
 from vssm_gym.eval.sweep import worker
+from vssm_gym.eval.sweep.own_agents import GUARD
 from vssm_gym.eval.sweep.rounds import SIGNAL_SECONDS
 from vssm_gym.eval.sweep.supervision import DEAD, reason_of
 from vssm_gym.files.line_file import LineFile
@@ -98,7 +99,8 @@ def run_units(
                         pool.shutdown(wait=False)
                     else:
                         waiting.popleft()
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                ended = wait(running, return_when=FIRST_COMPLETED).done
+                for future in sorted(ended, key=_refuses):  # what another one has measured is kept first
                     unit, pool = running[future]
                     found, fault = _outcome(future)
                     if fault == DEAD:
@@ -120,6 +122,11 @@ def run_units(
     if on_progress:
         on_progress("runs", len(units), len(units))
     return path
+
+
+def _refuses(future: Future[dict[str, Any]]) -> bool:
+    """Return True for a unit whose error ends the run."""
+    return isinstance(future.exception(), InputError | OutputError)
 
 
 def _outcome(future: Future[dict[str, Any]]) -> tuple[dict[str, Any], str | None]:
@@ -146,8 +153,16 @@ def _end(pools: Sequence[ProcessPoolExecutor]) -> None:
 
 
 def _pool() -> ProcessPoolExecutor:
-    """Start a process with one thread, as those of sweeps are, so that times can be compared."""
+    """Start a process with one thread, as those of sweeps are, so that times can be compared.
+
+    Raises:
+        InputError: a process that ends before it has begun.
+    """
     with worker.single_threaded_children():
         pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=worker.initialise)
-        pool.submit(int).result()  # started while the limits hold
+        try:
+            pool.submit(int).result()  # started while the limits hold
+        except BrokenProcessPool:
+            expected = f"processes that can start and import this program: start the benchmark below {GUARD}"
+            raise InputError("benchmark", "workers", expected) from None
     return pool

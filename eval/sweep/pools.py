@@ -28,7 +28,7 @@ class Pool(Protocol):
         ...
 
     def stop(self) -> None:
-        """Begin no further job; those that have begun go on."""
+        """Begin no further job; those that have begun, or wait in Ray for a CPU, go on."""
         ...
 
     def close(self) -> None:
@@ -98,4 +98,6 @@ def pools(workers: int | None, ray: str | None, own: "tuple[type[Agent], ...]" =
     from vssm_gym.eval.sweep.ray_pool import RayPool
 
     with connected(ray, worker.one_thread()) as cluster:
-        yield lambda jobs: RayPool(cluster, min(workers or cluster.cpus, jobs), own)
+        # One waits for each CPU, unless a number was asked for: on a CPU that is free it would be one more.
+        waiting = lambda: 0 if workers else cluster.cpus
+        yield lambda jobs: RayPool(cluster, min(workers or cluster.cpus, jobs), waiting(), own)

@@ -36,12 +36,19 @@ class Luggage:
 
 
 class RayPool:
-    """Run jobs on a cluster; a process or machine that dies costs its present episode a repetition."""
+    """Run jobs on a cluster; a process or machine that dies costs its present episode a repetition.
 
-    def __init__(self, cluster: Cluster, processes: int, own: "tuple[type[Agent], ...]" = ()) -> None:
+    Args:
+        cluster: that this process is connected to.
+        processes: jobs at once.
+        waiting: more jobs that Ray holds.
+        own: classes of the agents that the program has registered.
+    """
+
+    def __init__(self, cluster: Cluster, processes: int, waiting: int = 0, own: "tuple[type[Agent], ...]" = ()) -> None:
         self._nodes, self._own = cluster.machines, own
         self.machines, self.processes = len(self._nodes), processes
-        self._calls = Calls(cluster, processes)
+        self._calls = Calls(cluster, processes, waiting)
         self._share = cache(self._calls.share)  # a file is read once
         self._scene = cache(self._scene_file)
 
@@ -58,7 +65,7 @@ class RayPool:
         return self._calls.submit(run_there, job, luggage, self._own, node=node, then=partial(_received, job))
 
     def stop(self) -> None:
-        """Begin no further job."""
+        """Begin no further job but those that Ray holds."""
         self._calls.stop()
 
     def close(self) -> None:

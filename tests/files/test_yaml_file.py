@@ -55,6 +55,7 @@ class Part(BaseModel):
     model_config = ConfigDict(extra="forbid")
     kind: Literal["a"]
     seconds: float
+    minutes: float = 0.0
 
 
 class Other(BaseModel):
@@ -72,7 +73,11 @@ class Whole(BaseModel):
     [
         (
             "parts: {one: {kind: a, second: 1}}",
-            "parts.one.second: expected no such field here (did you mean 'seconds'?)",
+            "parts.one.second: expected a field that exists here (did you mean 'seconds'?)",
+        ),
+        (
+            "parts: {one: {kind: a, seconds: 1, minute: 1}}",  # one that may be absent
+            "parts.one.minute: expected a field that exists here (did you mean 'minutes'?)",
         ),
         ("parts: {one: {kind: a}}", "parts.one.seconds: expected this field"),
         ("parts: {one: {kind: b}}\nseeds: x", "seeds: expected a valid integer"),

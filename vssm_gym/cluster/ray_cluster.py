@@ -27,7 +27,6 @@ from vssm_gym.cluster.installed import check_same, installed
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
-CALLS_A_CPU = 2  # that Ray holds: where one ends, the next one is there and waits for no answer of ours
 LEASE_SECONDS = 20.0  # s that a worker is kept for the next calls; Ray has 0.5, and to find a free one again takes 0.1
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
 REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
@@ -68,13 +67,14 @@ class Cluster:
 
     def __init__(self, variables: Mapping[str, str]) -> None:
         self.variables, self.numbers = dict(variables), itertools.count()
-        if not self.nodes:
-            raise InputError("--ray", "cluster", "a node with a CPU; the cluster has none")
+        _ = self.cpus
 
     @property
     def cpus(self) -> int:
-        """Return the number of CPUs."""
-        return sum(int(node["Resources"]["CPU"]) for node in _alive())
+        """Return the number of CPUs; raise :class:`InputError` where there is none."""
+        if not (nodes := _alive()):
+            raise InputError("--ray", "cluster", "a node with a CPU; the cluster has none")
+        return sum(int(node["Resources"]["CPU"]) for node in nodes)
 
     @property
     def nodes(self) -> list[str]:
@@ -116,11 +116,12 @@ class Calls:
 
     Args:
         cluster: that this process is connected to.
-        most: calls at a time; where the cluster has no more CPUs than that, Ray holds ``CALLS_A_CPU`` for each of them.
+        most: calls at a time.
+        waiting: more calls that Ray holds, to be begun as soon as it has a CPU for them, without an answer of ours.
         number: calls of one number share their processes; None: the next number, whose memory is that of no others.
     """
 
-    def __init__(self, cluster: Cluster, most: int, number: int | None = None) -> None:
+    def __init__(self, cluster: Cluster, most: int, waiting: int = 0, number: int | None = None) -> None:
         import ray
 
         self._cluster = cluster
@@ -128,8 +129,7 @@ class Calls:
         self._folder = f"{ray.get_runtime_context().get_job_id()}-{number}"
         self._environment = {"env_vars": {**cluster.variables, "VSSM_GYM_CALLS": self._folder}}
         self._remote = ray.remote(num_cpus=1, max_retries=MOST_LOSSES, runtime_env=self._environment)(_call)
-        held = most if most < cluster.cpus else CALLS_A_CPU * most  # Ray itself runs one on each CPU
-        self._threads = ThreadPoolExecutor(held, thread_name_prefix="ray-call")
+        self._threads = ThreadPoolExecutor(most + waiting, thread_name_prefix="ray-call")
         self._lock, self._running, self._shared = threading.Lock(), set[Any](), dict[str, SharedFile]()
 
     def submit(
@@ -164,7 +164,7 @@ class Calls:
         return found
 
     def stop(self) -> None:
-        """Hand no further call to Ray; those that it holds, ``CALLS_A_CPU`` for each CPU, are run."""
+        """Hand no further call to Ray; those that it holds are run."""
         self._threads.shutdown(wait=False, cancel_futures=True)
 
     def interrupt(self) -> None:

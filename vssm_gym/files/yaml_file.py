@@ -1,7 +1,7 @@
 """Read YAML files that users write into a pydantic model, with one clear error and lists from single values."""
 
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError
@@ -86,15 +86,30 @@ def first_problem(path: Path, error: ValidationError, model: type[BaseModel], da
     parts = _parts(problem["loc"], data)
     field = ".".join(parts) or "file"
     if problem["type"] == "extra_forbidden":
-        absent = [str(one["loc"][-1]) for one in problems if one["loc"][:-1] == problem["loc"][:-1]]
-        known = list(model.model_fields) if len(parts) == 1 else [one for one in absent if one != parts[-1]]
-        expected = f"one of the fields {', '.join(known)}" if len(parts) == 1 else "no such field here"
+        known = _fields_at(model, problem["loc"][:-1])
+        expected = f"one of the fields {', '.join(known)}" if len(parts) == 1 else "a field that exists here"
         return InputError(path, field, f"{expected}{did_you_mean(known, parts[-1])}")
     if problem["type"] == "missing":
         return InputError(path, field, "this field")
     if problem["type"] == "too_short":
         return InputError(path, field, f"at least {problem['ctx']['min_length']} value; found none")
     return InputError(path, field, problem["msg"].removeprefix("Value error, ").removeprefix("Input should be "))
+
+
+def _fields_at(model: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
+    """Return the names of the fields at a place in a model; of all kinds where there are several."""
+    models = [model]
+    for part in place:  # an index, a key or the name of a kind is no field
+        fields = [one.model_fields[part] for one in models if isinstance(part, str) and part in one.model_fields]
+        models = [found for field in fields for found in _models_of(field.annotation)] or models
+    return list(dict.fromkeys(name for one in models for name in one.model_fields))
+
+
+def _models_of(annotation: Any) -> list[type[BaseModel]]:
+    """Return the models that an annotation names, in lists, mappings and unions too."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models_of(part)]
 
 
 def _parts(place: tuple[int | str, ...], data: Any) -> list[str]:

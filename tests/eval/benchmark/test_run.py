@@ -136,6 +136,18 @@ def test_each_machine_and_version_that_ran_a_part_is_stated_however_often_the_ru
     assert read_rows(out / "mapping" / FILE)[1]["task"] == 1
 
 
+@pytest.mark.parametrize(
+    ("load", "workers", "steady"),
+    [(0.5, 2, True), (0.5, 3, False), (1.5, 1, False), (0.5, None, True), (None, 1, False)],
+)
+def test_times_are_an_entrys_own_where_each_process_has_a_core(load, workers, steady):
+    machine = {"cores": 2}
+    manifest = Manifest(
+        suite="s", suite_hash="h", tracks={}, entries=(), version="1", machine=machine, load=load, workers=workers
+    )
+    assert results._steady(manifest) == steady
+
+
 def test_an_agent_begins_each_episode_without_a_memory(in_process):
     suite, agents, out = write_suite(in_process), write_agents(in_process), in_process / "out"
     run_benchmark(suite, [f"{agents}:Remembering"], out)

@@ -12,6 +12,7 @@ import pytest
 from tests.helpers.box_rooms import furniture, two_rooms
 from vssm_gym.data.sequences import load_sequence
 from vssm_gym.envs.scenes.scene import save_scene
+from vssm_gym.errors import InputError
 from vssm_gym.eval.benchmark import units
 from vssm_gym.eval.benchmark.slam import run as slam_run
 from vssm_gym.eval.benchmark.slam.contract import SlamMethod
@@ -234,6 +235,36 @@ def test_a_process_that_dies_between_two_units_costs_neither(tmp_path, monkeypat
     runs = [SlamUnit(str(k), "mine", recording, tmp_path, seconds=5.0) for k in (1, 2)]
     rows = units.read_rows(units.run_units(runs, score, lambda _: 9.0, tmp_path / "slam"), units.UnitRow)
     assert [(row["entry"], row["fault"]) for row in rows] == [("1", None), ("2", None)]
+
+
+def test_what_has_ended_is_kept_where_another_unit_ends_the_run(tmp_path, monkeypatch):
+    class Refusing(Mortal):
+        """Be a pool whose first unit is refused."""
+
+        def submit(self, run, unit):
+            future = Future()
+            future.set_exception(InputError("walk", "images", "a recording")) if unit.entry == "1" else None
+            return future if future.done() else super().submit(run, unit)
+
+    monkeypatch.setattr(units, "_pool", Refusing)
+    recording = Recording(scene="oak", motion="handheld", length=1.0)
+    runs = [SlamUnit(str(k), "mine", recording, tmp_path, seconds=5.0) for k in range(1, 9)]
+    with pytest.raises(InputError, match="walk: images"):
+        units.run_units(runs, score, lambda _: 9.0, tmp_path / "slam", workers=len(runs))
+    rows = units.read_rows(tmp_path / "slam" / units.ROWS, units.UnitRow)
+    assert {row["entry"] for row in rows} == set("2345678")
+
+
+def leave(*_):
+    """End the process, as one does that cannot import its program."""
+    os._exit(1)
+
+
+def test_a_process_that_cannot_start_is_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(units.worker, "initialise", leave)
+    unit = SlamUnit("mine", "mine", Recording(scene="oak", motion="handheld", length=1.0), tmp_path, seconds=5.0)
+    with pytest.raises(InputError, match="benchmark: workers: expected processes that can start"):
+        units.run_units([unit], score, lambda _: 9.0, tmp_path / "slam")
 
 
 @pytest.mark.slow
