@@ -156,8 +156,9 @@ def _pool() -> ProcessPoolExecutor:
     """Start a process with one thread, as those of sweeps are, so that times can be compared.
 
     Raises:
-        InputError: a process that ends before it has begun.
+        InputError: a process that ends before it has begun, or a machine without semaphores.
     """
+    worker.check_semaphores()
     with worker.single_threaded_children():
         pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=worker.initialise)
         try:

@@ -49,6 +49,7 @@ class LocalPool:
     machines = 1
 
     def __init__(self, processes: int, own: "tuple[type[Agent], ...]" = ()) -> None:
+        worker.check_semaphores()
         self._children = contextlib.ExitStack()
         self._children.enter_context(worker.single_threaded_children())
         context = multiprocessing.get_context("spawn")

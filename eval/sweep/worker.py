@@ -93,6 +93,15 @@ def single_threaded_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
+def check_semaphores() -> None:
+    """Raise :class:`InputError` where processes cannot wait for each other, as in a container without shared memory."""
+    try:
+        multiprocessing.get_context("spawn").Lock()
+    except OSError as error:
+        expected = f"semaphores, for which /dev/shm has to be writable; found: {error.strerror or error}"
+        raise InputError("machine", "workers", expected) from None
+
+
 def initialise(started: "Event | None" = None, own: "Sequence[type[Agent]]" = ()) -> None:
     """Initialise a worker: ignore Ctrl-C, which the parent handles, exit with the parent, and know the own agents.
 
