@@ -27,7 +27,7 @@ from vssm_gym.cluster.installed import check_same, installed
 from vssm_gym.errors import InputError
 from vssm_gym.files.atomic import atomic_write
 
-LEASE_SECONDS = 20.0  # s that a worker is kept for the next calls; Ray has 0.5, and to find a free one again takes 0.1
+LEASE_SECONDS = 20.0  # s that a worker is kept for the next calls; Ray has 0.5, and a free one is found within 0.1
 MOST_LOSSES = 3  # times that a call may lose its process or machine and is repeated
 REMOVAL_SECONDS = 5.0  # s that nodes have to remove files
 FILES = "vssm_gym"  # folder in that of Ray's session
